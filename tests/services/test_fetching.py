@@ -59,7 +59,7 @@ def kitti(server: FileServer, sequence: Path, tmp_path: Path) -> FileServer:
     catalogue.mkdir(parents=True)
     for name in ("kitti", "euroc", "newer-college", "openloris"):
         shutil.copy(CATALOGUE / f"{name}.yaml", catalogue)
-    text = (catalogue / "kitti.yaml").read_text()
+    text = (catalogue / "kitti.yaml").read_text().replace('"07": {', '"07": {uncertainty_m: 0.05, ')
     (catalogue / "kitti.yaml").write_text(
         text.replace("https://s3.eu-central-1.amazonaws.com/avg-kitti", server.address).replace("about_bytes", "#")
     )
@@ -88,6 +88,7 @@ def test_several_archives_become_a_dataset(kitti: FileServer, tmp_path: Path) ->
     assert dataset.name == "kitti_07"
     assert [sensor.name for sensor in dataset.sensors] == ["cam0", "cam1"]
     assert dataset.groundtruth is not None
+    assert dataset.groundtruth.uncertainty_m == 0.05
     assert {"outdoor", "car", "loops", "kitti"} <= set(dataset.attributes)
     assert dataset.licence == "CC BY-NC-SA 3.0"
     assert "Geiger" in dataset.citation
@@ -100,6 +101,8 @@ def test_several_archives_become_a_dataset(kitti: FileServer, tmp_path: Path) ->
 def test_a_shared_archive_is_downloaded_once(kitti: FileServer, tmp_path: Path) -> None:
     made = run(tmp_path, "kitti/06", "kitti/07", "kitti/06")
     assert [dataset.name for dataset in made] == ["kitti_06", "kitti_07"]
+    truths = [dataset.groundtruth for dataset in made]
+    assert [None if truth is None else truth.uncertainty_m for truth in truths] == [None, 0.05]
     assert sum(request.is_probe for request in kitti.asked(f"/{ARCHIVES[0]}")) == 1
     assert left(tmp_path) == []
 
