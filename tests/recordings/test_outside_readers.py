@@ -79,6 +79,7 @@ with osf.Writer(f"{folder}/hall.osf", info) as writer:
             "IMU_STATUS": np.array([1] * 9 + [0], dtype=np.uint16),
             "IMU_GYRO": np.full((10, 3), [0.1, 0.2, number], dtype=np.float32),
             "IMU_ACC": np.full((10, 3), [0, 0, 9.81], dtype=np.float32),
+            "POSITION_LAT_LONG": np.full((2, 2), 47.4),
         }
         for name, values in fields.items():
             frame.add_field(name, values, core.FieldClass.FRAME_FIELD)
@@ -179,6 +180,7 @@ def test_a_capture_has_the_samples_of_older_packets_in_si_units(tmp_path, outsid
 def test_what_an_osf_file_lacks_is_said(hall):
     notes = plan(hall).notes
     assert "1 of 4 scans of lidar0 lack columns, since packets were lost" in notes
+    assert "the GNSS positions that lidar0 recorded are left out" in notes
     assert "there is no ground truth: runs get no ATE" in notes
 
 
@@ -225,6 +227,7 @@ def test_a_damaged_stream_of_ousters_library_is_refused_in_one_line(tmp_path, mo
         "partial": 0,
         "posed": False,
         "second_returns": False,
+        "gnss": False,
     }
     times_ns = START_NS + 100_000_000 * np.arange(2)
     arrays = {"scan0_times_ns": times_ns, "imu0_times_ns": times_ns, "imu0": np.ones((2, 6))}

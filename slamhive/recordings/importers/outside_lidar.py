@@ -203,6 +203,7 @@ class OusterSensor(BaseModel):
     partial: NonNegativeInt
     posed: bool
     second_returns: bool
+    gnss: bool
 
 
 class OusterPlan(OutsidePlan):
@@ -293,6 +294,7 @@ class OusterImporter:
                         lidar.partial > 0
                     ),
                     f"second returns of {name} are left out": lidar.second_returns,
+                    f"the GNSS positions that {name} recorded are left out": lidar.gnss,
                     f"the poses of {name} in the file are an estimate, and not taken as ground truth": lidar.posed,
                     f"the timestamps of {name} count from the start of the sensor": (
                         lidar.timestamp_mode in _NOT_ABSOLUTE

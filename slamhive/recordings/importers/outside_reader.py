@@ -151,7 +151,8 @@ def plan_ouster(path: str, _part: str, out: IO[bytes]) -> None:
     infos = list(source.sensor_info)
     times_ns: list[list[int]] = [[] for _ in infos]
     samples: list[list[list[float]]] = [[] for _ in infos]
-    partial, posed, second = [0] * len(infos), [False] * len(infos), [False] * len(infos)
+    partial = [0] * len(infos)
+    posed, second, gnss = ([False] * len(infos) for _ in range(3))
     for number, frame, measured in ouster_frames(source):
         times_ns[number].append(int(frame.timestamp[measured].min()))
         first, last = infos[number].format.column_window
@@ -159,6 +160,7 @@ def plan_ouster(path: str, _part: str, out: IO[bytes]) -> None:
         partial[number] += int(np.count_nonzero(measured)) < expected
         posed[number] |= not np.allclose(frame.body_to_world[measured], np.eye(4))
         second[number] |= frame.has_field("RANGE2")
+        gnss[number] |= frame.has_field("POSITION_LAT_LONG") and bool(np.any(frame.field("POSITION_LAT_LONG")))
         if frame.has_field("IMU_ACC"):
             valid = (frame.field("IMU_STATUS") & 1).astype(bool)
             rows = (frame.field(name)[valid] for name in ("IMU_TIMESTAMP", "IMU_GYRO", "IMU_ACC"))
@@ -196,6 +198,7 @@ def plan_ouster(path: str, _part: str, out: IO[bytes]) -> None:
             "partial": partial[number],
             "posed": bool(posed[number]),
             "second_returns": bool(second[number]),
+            "gnss": bool(gnss[number]),
         }
         for number, info in enumerate(infos)
     ]
