@@ -140,7 +140,10 @@ def search(space: SearchSpace, runs: SearchRuns, aim: SearchAim) -> SearchState:
     tried, inverse, counts = np.unique(places[good], return_inverse=True, return_counts=True)
     failed, succeeded = _failures(space, places, good)
     failing = failed / (failed + succeeded)
-    out = _out(places, good, len(space.codes), aim.allowed_failing)
+    # Candidates of which a larger share of their own runs has failed than is allowed, (candidates,).
+    own, own_failed = (np.bincount(chosen, minlength=len(space.codes)) for chosen in (places, places[~good]))
+    most_failed = math.inf if aim.allowed_failing is None else aim.allowed_failing * own
+    out: NDArray[np.bool_] = own_failed > most_failed
     counted = np.where(out, 1.0, failing)
     objectives = [
         _Objective(space, tried, np.bincount(inverse, values[good]) / counts, counts.astype(float))
@@ -174,13 +177,6 @@ def search(space: SearchSpace, runs: SearchRuns, aim: SearchAim) -> SearchState:
         importance=tuple(_importance(space, values) for values in expected.T),
         next=tuple(int(near[winner]) for winner in winners[: aim.at_once]),
     )
-
-
-def _out(places: Places, good: NDArray[np.bool_], candidates: int, allowed: float | None) -> NDArray[np.bool_]:
-    """(candidates,), of which a larger share of their own runs has failed than is allowed."""
-    runs, failed = (np.bincount(chosen, minlength=candidates) for chosen in (places, places[~good]))
-    found: NDArray[np.bool_] = failed > math.inf if allowed is None else failed > allowed * runs
-    return found
 
 
 def front_of(scores: Numbers) -> Places:
@@ -285,19 +281,16 @@ class _Process:
             self._cost, self._expected, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 25}
         )
         self._logs = fitted.x
-        self._factor = self._cholesky(self._logs)
+        matrix = self._kernel(self._logs, self._between)
+        own = math.exp(2 * self._logs[self._axes + 1])
+        matrix[np.diag_indices(len(matrix))] += own + math.exp(2 * self._logs[-1]) / self._counts + _JITTER
+        self._factor = np.asarray(np.linalg.cholesky(matrix), dtype=float)
         self._weights = scipy.linalg.solve_triangular(self._factor, means, lower=True)
 
     def _kernel(self, logs: Numbers, squared: Sequence[Numbers]) -> Numbers:
         total = sum(math.exp(-2 * log) * distances for log, distances in zip(logs, squared, strict=False))
         kernel: Numbers = math.exp(2 * logs[self._axes]) * np.exp(-0.5 * np.asarray(total))
         return kernel
-
-    def _cholesky(self, logs: Numbers) -> Numbers:
-        matrix = self._kernel(logs, self._between)
-        own = math.exp(2 * logs[self._axes + 1])
-        matrix[np.diag_indices(len(matrix))] += own + math.exp(2 * logs[-1]) / self._counts + _JITTER
-        return np.asarray(np.linalg.cholesky(matrix), dtype=float)
 
     def _cost(self, logs: Numbers) -> tuple[float, Numbers]:
         """The negative logarithm of the posterior of lengths, signal, own and noise, and its gradient (section 5.4.1).

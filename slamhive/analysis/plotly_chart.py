@@ -257,7 +257,23 @@ def _points(mark: Points, chart: Chart) -> list[Json]:
         marker |= {"size": 8 if mark.ring else 4, "symbol": symbol}
     if not len(mark.x):
         return [trace | {axis: [None] for axis in ("x", "y") + (("z",) if chart.z is not None else ())}]
-    return [trace | _error_bars(mark.y, mark.low, mark.high) | _hover(mark, chart)]
+    axes = {"x": chart.x, "y": chart.y} | ({} if chart.z is None else {"z": chart.z})
+    parts = [
+        f"{escaped(axis.label)}: %{{{name}}} {'' if axis.unit == 'bytes' else escaped(axis.unit)}"
+        for name, axis in axes.items()
+    ]
+    more: Json = {}
+    if mark.texts is not None:
+        more["text"] = [escaped(text) for text in mark.texts]
+        parts.append("%{text}")
+    if mark.runs is not None:
+        more["customdata"] = numbers(mark.runs)
+        parts.append("run %{customdata}")
+    return [
+        trace
+        | _error_bars(mark.y, mark.low, mark.high)
+        | (more | {"hovertemplate": "<br>".join(parts) + f"<extra>{escaped(mark.name)}</extra>"})
+    ]
 
 
 def _error_bars(middle: Array, low: Array | None, high: Array | None) -> Json:
@@ -279,22 +295,6 @@ def _prefixed(count: float) -> str:
     """``500 MB``."""
     power = max(0, min(4, int(math.log10(count) // 3))) if count >= 1 else 0
     return f"{count / 1000**power:.3g} {('', 'k', 'M', 'G', 'T')[power]}B"
-
-
-def _hover(mark: Points, chart: Chart) -> Json:
-    axes = {"x": chart.x, "y": chart.y} | ({} if chart.z is None else {"z": chart.z})
-    parts = [
-        f"{escaped(axis.label)}: %{{{name}}} {'' if axis.unit == 'bytes' else escaped(axis.unit)}"
-        for name, axis in axes.items()
-    ]
-    more: Json = {}
-    if mark.texts is not None:
-        more["text"] = [escaped(text) for text in mark.texts]
-        parts.append("%{text}")
-    if mark.runs is not None:
-        more["customdata"] = numbers(mark.runs)
-        parts.append("run %{customdata}")
-    return more | {"hovertemplate": "<br>".join(parts) + f"<extra>{escaped(mark.name)}</extra>"}
 
 
 def _failed(mark: FailedRuns, chart: Chart) -> list[Json]:
@@ -560,7 +560,10 @@ def _layout(chart: Chart) -> Json:
         x |= {"constrain": "domain"}
         y |= {"constrain": "domain"}
     if chart.bare:
-        x |= {"visible": False, "range": _bare_range(chart)}
+        ends = [part for mark in chart.marks if isinstance(mark, Segments) for part in (mark.x0, mark.x1)]
+        places = np.concatenate(ends) if ends else np.zeros(1)
+        room = chart.bare_margin() * float(np.ptp(places))
+        x |= {"visible": False, "range": [float(places.min()) - room, float(places.max()) + room]}
         y |= {"visible": False}
     if any(isinstance(mark, Bars) for mark in chart.marks):
         y |= {"rangemode": "tozero"}
@@ -571,23 +574,20 @@ def _layout(chart: Chart) -> Json:
         y |= {"showgrid": False}
     parallel = [mark for mark in chart.marks if isinstance(mark, Parallel)]
     if parallel:
-        return layout | {"margin": _parallel_margin(parallel[0])}
+        # Space for the categories of the first axis on its left, and for slanted titles above.
+        mark = parallel[0]
+        first = mark.dimensions[0].axis.categories or ()
+        slanted = len(mark.dimensions) > MOST_LEVEL_DIMENSIONS
+        longest = max(len(dimension.axis.title) for dimension in mark.dimensions)
+        return layout | {
+            "margin": {
+                "l": 24 + 6 * max(map(len, first), default=4),
+                "t": 44 + (2 * longest if slanted else 0),
+                "r": 32,
+                "b": 24,
+            }
+        }
     return layout | {"xaxis": x, "yaxis": y}
-
-
-def _parallel_margin(mark: Parallel) -> Json:
-    """Space for the categories of the first axis on its left, and for slanted titles above."""
-    first = mark.dimensions[0].axis.categories or ()
-    slanted = len(mark.dimensions) > MOST_LEVEL_DIMENSIONS
-    longest = max(len(dimension.axis.title) for dimension in mark.dimensions)
-    return {"l": 24 + 6 * max(map(len, first), default=4), "t": 44 + (2 * longest if slanted else 0), "r": 32, "b": 24}
-
-
-def _bare_range(chart: Chart) -> list[float]:
-    ends = [part for mark in chart.marks if isinstance(mark, Segments) for part in (mark.x0, mark.x1)]
-    places = np.concatenate(ends) if ends else np.zeros(1)
-    room = chart.bare_margin() * float(np.ptp(places))
-    return [float(places.min()) - room, float(places.max()) + room]
 
 
 def _axis(axis: Axis) -> Json:

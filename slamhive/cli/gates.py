@@ -245,9 +245,11 @@ def bisect(cli: CliContext, /, as_json: bool, **options: Any) -> None:
         raise InvalidInput("say what to run: --dataset, or --baseline", "one of the two")
     metric = searched_metric(options["metric"])
     own = ("datasets", "baseline", "folder", "package", "into", "algorithm", "half_way", "error", "most", "restart")
+    # The search chooses algorithm and dataset of each run.
+    values = {name: value for name, value in submission_values(options).items() if name not in ("algorithm", "dataset")}
     request = BisectRequest(
         repository=options["repo"],
-        submission=Submission("", "", **_run_values(options)),
+        submission=Submission("", "", **values),
         metric=metric,
         difference=read_difference(options["difference"], metric),
         budget=None if options["budget"] is None else read_budget(options["budget"]),
@@ -328,12 +330,6 @@ def shrink(cli: CliContext, /, run_id: int, as_json: bool, **options: Any) -> No
     made = ", ".join((plural(answer.decisions, "decision"), plural(answer.runs, "run"))) + "."
     tell(f"{answer.words} {made}", style="green" if answer.folder is not None else "yellow")
     raise click.exceptions.Exit(0 if answer.folder is not None else EXIT_CODES[Answer.UNDECIDED])
-
-
-def _run_values(options: dict[str, Any]) -> dict[str, Any]:
-    """The fields of a submission besides algorithm and dataset."""
-    values = submission_values(options)
-    return {name: value for name, value in values.items() if name not in ("algorithm", "dataset")}
 
 
 def _print_bisect(answer: BisectAnswer) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -241,6 +240,11 @@ def _summary(entry: RunRecord, folder: str) -> list[str]:
     steps = ", ".join(step.brief for step in entry.variant) or "unchanged"
     played = "" if entry.executor == IMPORTED else f", played in {entry.playback.mode} mode"
     doubt = f", {entry.trust.doubt}" if entry.trust is not None and entry.trust.doubt else ""
+    metrics = entry.metrics or {}
+    used = (
+        _number(metrics.get("cpu.mean"), "{:.2f} CPU cores on average"),
+        _number(metrics.get("ram.max"), "{:.0f} MB of RAM at most", 1e-6),
+    )
     lines = [
         f"run {entry.id}: {entry.algorithm} on {entry.dataset}, {outcome_words(entry)}{doubt}",
         f"{entry.reason or 'note'}: {entry.detail}" if entry.detail else "",
@@ -248,7 +252,7 @@ def _summary(entry: RunRecord, folder: str) -> list[str]:
         f"configuration: {entry.configuration_id}, {entry.package}{f'@{number}' if number else ''}{parameters}",
         f"dataset: {entry.dataset}, {steps}{played}",
         _error(entry),
-        _resources(entry.metrics or {}),
+        f"used: {', '.join(filter(None, used))}" if any(used) else "",
         _duration(entry),
         _trust(entry),
         f"folder: {folder}",
@@ -263,15 +267,6 @@ def _error(entry: RunRecord) -> str:
         return ""
     found = _number((entry.metrics or {}).get("ate.rmse"), "ATE RMSE {:.3g} m") or "no ATE"
     return f"error: {found}, by {entry.protocol.label} (protocol {entry.protocol.fingerprint})"
-
-
-def _resources(metrics: Mapping[str, float]) -> str:
-    """Processors and memory that the algorithm used, empty if they were not measured."""
-    parts = (
-        _number(metrics.get("cpu.mean"), "{:.2f} CPU cores on average"),
-        _number(metrics.get("ram.max"), "{:.0f} MB of RAM at most", 1e-6),
-    )
-    return f"used: {', '.join(filter(None, parts))}" if any(parts) else ""
 
 
 def _duration(entry: RunRecord) -> str:

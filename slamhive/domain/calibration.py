@@ -267,15 +267,22 @@ class LidarLayout:
     def of(cls, sensor: Sensor) -> LidarLayout:
         """The layout of ``sensor``; raises InvalidInput naming what makes no sense."""
         values, owner = sensor.calibration, f"sensor {sensor.name}"
+        angles_deg = values.get("vertical_angles_deg", ())
+        if not isinstance(angles_deg, tuple | list):
+            raise InvalidInput(f"{owner}: vertical_angles_deg {angles_deg!r} is no list", "give the angle of each ring")
+        beams = _whole(values, "beams", owner)
+        if angles_deg and beams is not None and len(angles_deg) != beams:
+            found = f"{len(angles_deg)} vertical angles for {beams} beams"
+            raise InvalidInput(f"{owner}: {found}", "give one for each ring")
         return cls(
             PointTimes.of(values, sensor.rate_hz, owner),
             str(values.get("ring_field", "")),
             choice(PointOrder, values, "point_order", PointOrder.UNKNOWN, owner),
             bool(values.get("organised", False)),
-            _whole(values, "beams", owner),
+            beams,
             number_of(values, "minimum_range_m", owner),
             number_of(values, "maximum_range_m", owner),
-            _angles_deg(values, owner),
+            tuple(float(angle) for angle in angles_deg),
             _whole(values, "points_per_ring", owner),
             choice(Rotation, values, "rotation", Rotation.UNKNOWN, owner),
         )
@@ -301,14 +308,3 @@ class LidarLayout:
 def _whole(values: dict[str, CalibrationValue], key: str, owner: str) -> int | None:
     number = number_of(values, key, owner)
     return None if number is None else int(number)
-
-
-def _angles_deg(values: dict[str, CalibrationValue], owner: str) -> tuple[float, ...]:
-    """The elevations of the rings; raises InvalidInput if there is not one for each of the beams."""
-    found = values.get("vertical_angles_deg", ())
-    if not isinstance(found, tuple | list):
-        raise InvalidInput(f"{owner}: vertical_angles_deg {found!r} is no list", "give the angle of each ring")
-    beams = _whole(values, "beams", owner)
-    if found and beams is not None and len(found) != beams:
-        raise InvalidInput(f"{owner}: {len(found)} vertical angles for {beams} beams", "give one for each ring")
-    return tuple(float(angle) for angle in found)

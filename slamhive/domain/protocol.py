@@ -405,7 +405,12 @@ def _words(protocol: Protocol) -> list[str]:
     words.append(f"RPE over {protocol.rpe_delta_m:g} m")
     if protocol.rpe_pairs is not RpePairs.ALL:
         words.append("pairs as TUM counts" if protocol.rpe_pairs is RpePairs.TUM else "consecutive pairs")
-    words += _segment_words(protocol)
+    if protocol.segment_lengths_m:
+        words.append(f"segments of {'/'.join(f'{length_m:g}' for length_m in protocol.segment_lengths_m)} m")
+    if protocol.segment_tolerance_m is not None:
+        words.append(f"segment lengths within {protocol.segment_tolerance_m:g} m")
+    if protocol.segment_rule is not SegmentRule.MATCHED:
+        words.append(f"segments as {'ETH3D' if protocol.segment_rule is SegmentRule.ETH3D else 'rpg'} counts")
     if protocol.duplicates is not Duplicates.REFUSE:
         words.append(f"duplicate timestamps: {DUPLICATES_LABELS[protocol.duplicates]}")
     defaults = {entry.name: entry.default for entry in fields(protocol)}
@@ -428,17 +433,6 @@ def _compared_words(protocol: Protocol) -> list[str]:
         words.append(f"{protocol.trajectory.adjective} trajectory")
     if protocol.reference is not None:
         words.append(f"against {protocol.reference}")
-    return words
-
-
-def _segment_words(protocol: Protocol) -> list[str]:
-    words: list[str] = []
-    if protocol.segment_lengths_m:
-        words.append(f"segments of {'/'.join(f'{length_m:g}' for length_m in protocol.segment_lengths_m)} m")
-    if protocol.segment_tolerance_m is not None:
-        words.append(f"segment lengths within {protocol.segment_tolerance_m:g} m")
-    if protocol.segment_rule is not SegmentRule.MATCHED:
-        words.append(f"segments as {'ETH3D' if protocol.segment_rule is SegmentRule.ETH3D else 'rpg'} counts")
     return words
 
 

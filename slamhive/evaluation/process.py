@@ -186,7 +186,16 @@ def _follow(
     try:
         ended = feed.follow(timeout_s, on_line, stopping)
     finally:
-        _end_group(process, already_ending=ended is None)
+        # A process that closed its output is about to end; one that did not is ended, with its children.
+        if ended is not None:
+            _signal_group(process, signal.SIGTERM)
+        try:
+            process.wait(timeout=_GRACE_S)
+        except subprocess.TimeoutExpired:
+            pass
+        finally:
+            _signal_group(process, signal.SIGKILL)
+            process.wait()
         feed.drain(_GRACE_S, on_line)
         process.stdout.close()
     return ended
@@ -210,19 +219,6 @@ def _thread_bound_to(cores: tuple[int, ...] | None) -> Iterator[None]:
         yield
     finally:
         os.sched_setaffinity(0, before)
-
-
-def _end_group(process: subprocess.Popen[bytes], *, already_ending: bool) -> None:
-    """Wait for a process that closed its output; end one that did not, with its children."""
-    if not already_ending:
-        _signal_group(process, signal.SIGTERM)
-    try:
-        process.wait(timeout=_GRACE_S)
-    except subprocess.TimeoutExpired:
-        pass
-    finally:
-        _signal_group(process, signal.SIGKILL)
-        process.wait()
 
 
 def _signal_group(process: subprocess.Popen[bytes], number: signal.Signals) -> None:

@@ -18,7 +18,6 @@ from pathlib import Path
 from types import FrameType
 
 import numpy as np
-from evo.core.result import Result
 
 from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.base.files import write_aside
@@ -74,7 +73,16 @@ def _write_files(task: EvaluationTask, evaluated: Evaluated, paired: Paired) -> 
         return
     _remove(task.output, (f"{name}.zip" for name in _ARCHIVES))
     for name, result in evaluated.archives.items():
-        write_aside(task.output / f"{name}.zip", _result_archive(result, task.id))
+        # The zip that ``evo_res`` opens, with the task's id as the estimate's name; the trajectories lie beside it.
+        # evo's own ``save_res_file`` is in a module that loads the readers of all recordings first.
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w") as archive:
+            archive.writestr("info.json", json.dumps(result.info | {"est_name": task.id}))
+            archive.writestr("stats.json", json.dumps(result.stats))
+            for key, array in result.np_arrays.items():
+                with archive.open(f"{key}.npy", "w") as member:
+                    np.save(member, array)
+        write_aside(task.output / f"{name}.zip", buffer.getvalue())
     write_aside(task.output / ALIGNED_FILE, _tum(paired.aligned))
     write_aside(task.output / REFERENCE_FILE, _tum(paired.reference))
     rows = np.column_stack((paired.aligned.stamps_s, evaluated.archives["ape"].np_arrays["error_array"]))
@@ -99,21 +107,6 @@ def load_libraries(tasks: Iterable[EvaluationTask]) -> None:
 
 def _tum(poses: Poses) -> str:
     return format_tum(poses.stamps_s, poses.positions_m, poses.quats_xyzw)
-
-
-def _result_archive(result: Result, name: str) -> bytes:
-    """The zip that ``evo_res`` opens, with the task's id as the estimate's name; the trajectories lie beside it.
-
-    As by evo's ``save_res_file``, whose module loads the readers of all recordings first.
-    """
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("info.json", json.dumps(result.info | {"est_name": name}))
-        archive.writestr("stats.json", json.dumps(result.stats))
-        for key, array in result.np_arrays.items():
-            with archive.open(f"{key}.npy", "w") as member:
-                np.save(member, array)
-    return buffer.getvalue()
 
 
 def _remove(folder: Path, names: Iterable[str]) -> None:
@@ -148,7 +141,14 @@ def main(arguments: Sequence[str], emit: Callable[[str], None]) -> int:
     signal.signal(signal.SIGTERM, _end)
     _end_with_parent()
     try:
-        tasks = _read_job(arguments)
+        if len(arguments) != 1:
+            raise InvalidInput(f"expected one argument, the job file, got {len(arguments)}", "evaluate.py job.json")
+        path = Path(arguments[0])
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InvalidInput(f"job file {path} cannot be read: {error}") from None
+        tasks = job_from_json(text)
     except SlamHiveError as error:
         sys.stderr.write(f"{error}\n")
         return 1
@@ -199,17 +199,6 @@ _DEFAULT_SIGTERM = (signal.SIGTERM, signal.SIG_DFL)
 
 def _run_in_worker(task: EvaluationTask) -> EvaluationResult:
     return run_task(task, _references)
-
-
-def _read_job(arguments: Sequence[str]) -> tuple[EvaluationTask, ...]:
-    if len(arguments) != 1:
-        raise InvalidInput(f"expected one argument, the job file, got {len(arguments)}", "evaluate.py job.json")
-    path = Path(arguments[0])
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"job file {path} cannot be read: {error}") from None
-    return job_from_json(text)
 
 
 def _end_with_parent() -> None:

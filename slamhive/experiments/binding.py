@@ -273,28 +273,25 @@ class ParameterPair:
         """The steps that change something; raises InvalidInput for a value the sensor cannot have."""
         settings = tuple([row[name] for name in self.step_axes])
         if settings not in self.variants:
-            self.variants[settings] = self._resolve(row)
+            sensors = {sensor.name: sensor for sensor in self.dataset.sensors}
+            variant: list[VariantStep] = []
+            for step in self.steps:
+                options: dict[str, Scalar] = {}
+                for option, name in step.options.items():
+                    value = row[name]
+                    assert not isinstance(value, tuple)
+                    options[option] = value
+                names = [sensor.name for sensor in step.sensors]
+                try:
+                    variant += resolve_step(self.rules, step.declaration.kind, options, names, sensors)
+                except SlamHiveError as error:
+                    raise type(error)(
+                        f"{step.declaration.blame}: step {step.declaration.name} on dataset {self.dataset.name}: "
+                        f"{error.message}",
+                        error.remedy,
+                    ) from None
+            self.variants[settings] = tuple(variant)
         return self.variants[settings]
-
-    def _resolve(self, row: Row) -> Variant:
-        sensors = {sensor.name: sensor for sensor in self.dataset.sensors}
-        variant: list[VariantStep] = []
-        for step in self.steps:
-            options: dict[str, Scalar] = {}
-            for option, name in step.options.items():
-                value = row[name]
-                assert not isinstance(value, tuple)
-                options[option] = value
-            names = [sensor.name for sensor in step.sensors]
-            try:
-                variant += resolve_step(self.rules, step.declaration.kind, options, names, sensors)
-            except SlamHiveError as error:
-                raise type(error)(
-                    f"{step.declaration.blame}: step {step.declaration.name} on dataset {self.dataset.name}: "
-                    f"{error.message}",
-                    error.remedy,
-                ) from None
-        return tuple(variant)
 
 
 class PairConfigurations:

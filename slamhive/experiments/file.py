@@ -433,7 +433,13 @@ def _optimise(optimise: OptimiseModel, model: ExperimentModel, places: strict_ya
         key = "limits"
         failing, limits = _limits(optimise.limits)
         key = "against"
-        against = _against(compared.key, optimise.against)
+        against = tuple(FAILED if name == FAILED else compared_metric(name).key for name in optimise.against)
+        if len(against) > MOST_AGAINST:
+            found = f"{len(against)} objectives are too many beside {compared.key}"
+            raise InvalidInput(found, f"name {MOST_AGAINST} at most")
+        for number_before, name in enumerate(against):
+            if name in (compared.key, *against[:number_before]):
+                raise InvalidInput(f"{name} is there twice", "name each objective once")
         key = "within"
         within = number(str(optimise.within), "")
         if within is None or not 0 < within <= 1:
@@ -454,16 +460,6 @@ def _optimise(optimise: OptimiseModel, model: ExperimentModel, places: strict_ya
         failing,
         optimise.sampler,
     )
-
-
-def _against(first: str, others: Sequence[str]) -> tuple[str, ...]:
-    keys = tuple(FAILED if key == FAILED else compared_metric(key).key for key in others)
-    if len(keys) > MOST_AGAINST:
-        raise InvalidInput(f"{len(keys)} objectives are too many beside {first}", f"name {MOST_AGAINST} at most")
-    for place, key in enumerate(keys):
-        if key in (first, *keys[:place]):
-            raise InvalidInput(f"{key} is there twice", "name each objective once")
-    return keys
 
 
 def _limits(texts: Sequence[str]) -> tuple[float | None, tuple[MetricLimit, ...]]:

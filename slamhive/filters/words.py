@@ -59,18 +59,14 @@ def _value(field: Field, value: Value) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, int | float):
-        return _with_unit(value, field.unit)
+        if field.unit == "bytes":
+            for factor, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+                if abs(value) >= factor:
+                    return f"{value / factor:g} {name}"
+        return f"{plain(value)} {field.unit}".strip()
     if field.source is Source.VERDICT:
         return VerdictKind(str(value)).label
     return str(value).replace("_", " ") if field.kind is FieldKind.CHOICE and field.name in _SPELT_OUT else str(value)
-
-
-def _with_unit(value: float, unit: str) -> str:
-    if unit == "bytes":
-        for factor, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
-            if abs(value) >= factor:
-                return f"{value / factor:g} {name}"
-    return f"{plain(value)} {unit}".strip()
 
 
 def _span(condition: Condition) -> str:

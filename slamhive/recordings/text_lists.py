@@ -163,7 +163,18 @@ def parse_timed_list(lines: list[str], path: Path, layout: str, unit: TimeUnit, 
         words = _words(line)
         if not words or (number == 1 and not _is_number(words[0])):
             continue
-        time_ns = _time_ns(words, unit, f"{path}, line {number}", layout, columns)
+        place = f"{path}, line {number}"
+        if len(words) < columns:
+            raise InvalidInput(f"{place}: {len(words)} columns, not {columns}", f"expected {layout}")
+        try:
+            time = Decimal(words[0])
+        except InvalidOperation:
+            raise InvalidInput(
+                f"{place}: timestamp {words[0][:_SHOWN]!r} is not a number", f"expected {layout}"
+            ) from None
+        time_ns = round(time.scaleb(_DIGITS_TO_NS[unit])) if time.is_finite() and abs(time.adjusted()) < 30 else -1
+        if not 0 <= time_ns < _MOST_NS:
+            raise InvalidInput(f"{place}: timestamp {words[0][:_SHOWN]} {unit} is out of range", f"expected {layout}")
         if times_ns and time_ns < times_ns[-1]:
             raise InvalidInput(
                 f"{path}, line {number}: timestamp {words[0]} comes after {rows[-1][0]}", "sort the rows by timestamp"
@@ -206,19 +217,6 @@ def _is_number(word: str) -> bool:
     except InvalidOperation:
         return False
     return True
-
-
-def _time_ns(words: list[str], unit: TimeUnit, place: str, layout: str, columns: int) -> int:
-    if len(words) < columns:
-        raise InvalidInput(f"{place}: {len(words)} columns, not {columns}", f"expected {layout}")
-    try:
-        time = Decimal(words[0])
-    except InvalidOperation:
-        raise InvalidInput(f"{place}: timestamp {words[0][:_SHOWN]!r} is not a number", f"expected {layout}") from None
-    time_ns = round(time.scaleb(_DIGITS_TO_NS[unit])) if time.is_finite() and abs(time.adjusted()) < 30 else -1
-    if not 0 <= time_ns < _MOST_NS:
-        raise InvalidInput(f"{place}: timestamp {words[0][:_SHOWN]} {unit} is out of range", f"expected {layout}")
-    return time_ns
 
 
 # Reads text logs line by line: words between blanks or commas, with errors that name the line.

@@ -88,7 +88,15 @@ def align(alignment: Alignment, estimate: Poses, reference: Poses, first: int | 
     if first == 1 and alignment is Alignment.SE3:
         alignment = Alignment.FIRST_POSE
     if first == 1 and alignment is Alignment.YAW_POSITION:
-        return _first_yaw_position(estimate, reference)
+        # C = R_estimate R_reference^T, as OpenVINS and rpg_trajectory_evaluation.
+        R_estimate, R_reference = (rotations_from_quats(poses.quats_xyzw[:1])[0] for poses in (estimate, reference))
+        turn = _best_yaw(R_estimate @ R_reference.T)
+        if turn is None:
+            raise InvalidInput(
+                "yaw cannot be determined: the first pose of the estimate is upside down against the ground truth",
+                "check that z points up in both, or align over more poses",
+            )
+        return Similarity(1.0, turn, reference.positions_m[0] - turn @ estimate.positions_m[0])
     count = len(estimate) if first is None else min(first, len(estimate))
     if count < MINIMUM_POSES[alignment]:
         raise InvalidInput(
@@ -98,7 +106,9 @@ def align(alignment: Alignment, estimate: Poses, reference: Poses, first: int | 
     if alignment is Alignment.NONE:
         return IDENTITY
     if alignment is Alignment.FIRST_POSE:
-        return _first_pose(estimate, reference)
+        R_estimate, R_reference = (rotations_from_quats(poses.quats_xyzw[:1])[0] for poses in (estimate, reference))
+        rotation = R_reference @ R_estimate.T
+        return Similarity(1.0, rotation, reference.positions_m[0] - rotation @ estimate.positions_m[0])
     estimate_m, reference_m = estimate.positions_m[:count], reference.positions_m[:count]
     if alignment is Alignment.YAW_POSITION:
         return align_yaw_position(estimate_m, reference_m)
@@ -177,25 +187,6 @@ def _best_yaw(C: FloatArray) -> FloatArray | None:
     rotation = np.eye(3)
     rotation[:2, :2] = np.array([[cosine, -sine], [sine, cosine]]) / length
     return rotation
-
-
-def _first_yaw_position(estimate: Poses, reference: Poses) -> Similarity:
-    """Yaw and position of the first pose: C = R_estimate R_reference^T, as OpenVINS and rpg_trajectory_evaluation."""
-    R_estimate, R_reference = (rotations_from_quats(poses.quats_xyzw[:1])[0] for poses in (estimate, reference))
-    rotation = _best_yaw(R_estimate @ R_reference.T)
-    if rotation is None:
-        raise InvalidInput(
-            "yaw cannot be determined: the first pose of the estimate is upside down against the ground truth",
-            "check that z points up in both, or align over more poses",
-        )
-    return Similarity(1.0, rotation, reference.positions_m[0] - rotation @ estimate.positions_m[0])
-
-
-def _first_pose(estimate: Poses, reference: Poses) -> Similarity:
-    """The rigid transform that brings the first estimated pose onto its ground truth."""
-    R_estimate, R_reference = (rotations_from_quats(poses.quats_xyzw[:1])[0] for poses in (estimate, reference))
-    rotation = R_reference @ R_estimate.T
-    return Similarity(1.0, rotation, reference.positions_m[0] - rotation @ estimate.positions_m[0])
 
 
 # The constant transform between the frames of two trajectories of one body: rotation, lever arm, how sure they are.
@@ -312,7 +303,13 @@ def _fit_arm(
     least = _SINGULAR * len(reference)
     for _ in range(_ITERATIONS):
         residuals = _residuals(reference, estimate, world, arm_m, oriented=oriented)
-        by_arm, moved = _arm_jacobian(reference, estimate, world, arm_m, oriented=oriented)
+        # The derivative of the residuals by the arm, (n, 3, 3), and the moved positions of the estimate, (n, 3).
+        if oriented:
+            by_arm, moved = rotations_from_quats(reference.quats_xyzw), world.points(estimate.positions_m)
+        else:
+            rotations = rotations_from_quats(estimate.quats_xyzw)
+            by_arm = -world.rotation @ rotations
+            moved = world.points(estimate.positions_m + rotations @ arm_m)
         by_world = np.zeros((len(reference), 3, 7 if scaled else 6))
         by_world[:, :, :3] = _cross(moved - world.translation_m)
         by_world[:, :, 3:6] = -np.eye(3)
@@ -360,16 +357,6 @@ def _inverse(information: FloatArray, least: float) -> tuple[FloatArray, FloatAr
     values, vectors = np.linalg.eigh(information)
     known = values > least
     return (vectors[:, known] / values[known]) @ vectors[:, known].T, vectors[:, ~known]
-
-
-def _arm_jacobian(
-    reference: Poses, estimate: Poses, world: Similarity, arm_m: FloatArray, *, oriented: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Derivative of the residuals by the arm, shape (n, 3, 3), and the moved positions of the estimate (n, 3)."""
-    if oriented:
-        return rotations_from_quats(reference.quats_xyzw), world.points(estimate.positions_m)
-    rotations = rotations_from_quats(estimate.quats_xyzw)
-    return -world.rotation @ rotations, world.points(estimate.positions_m + rotations @ arm_m)
 
 
 def _residuals(

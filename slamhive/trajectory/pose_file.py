@@ -77,12 +77,31 @@ def with_header_as_comment(data: bytes) -> bytes:
 def find_columns(data: bytes) -> Columns | None:
     """Where the rows hold the pose, if anything but a plain layout shows it; None for the plain ones and in doubt."""
     count = count_columns(data)
-    for line in _comments(data):
-        names = _names(line)
+    for line in data.splitlines():
+        text = line.decode("utf-8", errors="replace").strip()
+        if text and not text.startswith("#"):
+            break  # only the comments above the first row name columns
+        names = _names(text)
         found = _by_names(names) if len(names) == count else None
         if found is not None:
             return found
-    return _by_count(data, count)
+    # The layout of a system that writes so many columns without names, if the numbers fit.
+    if count not in SYSTEMS or count <= _POSE_COLUMNS:
+        return None
+    try:
+        values = parse_table(data, "", count, "").values
+    except InvalidInput:
+        return None
+    whole = count == _WHOLE_MATRIX_COLUMNS and (values[:, 13:] == [0, 0, 0, 1]).all()
+    if count == _MATRIX_COLUMNS or whole:
+        places = (1, 2, 3, 5, 6, 7, 9, 10, 11)
+        R = values[:, list(places)].reshape(-1, 3, 3)
+        with np.errstate(over="ignore", invalid="ignore"):
+            fits = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() < _ORTHOGONAL and (np.linalg.det(R) > 0).all()
+        return Columns(count, 0, (4, 8, 12), places, QuaternionOrder.XYZW) if fits else None
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(np.linalg.norm(values[:, 4:8], axis=1) - 1)
+    return Columns(count, 0, (1, 2, 3), (4, 5, 6, 7)) if (off <= QUATERNION_TOLERANCE).all() else None
 
 
 def stated_columns(text: str, count: int) -> Columns:
@@ -116,17 +135,6 @@ def parse_columns(data: bytes, name: str, columns: Columns) -> RawPoses:
     return RawPoses(table, times, positions_m, quats, not without, stated, without)
 
 
-def _comments(data: bytes) -> list[str]:
-    """The comment lines above the first row."""
-    found: list[str] = []
-    for line in data.splitlines():
-        text = line.decode("utf-8", errors="replace").strip()
-        if text and not text.startswith("#"):
-            break
-        found.append(text)
-    return found
-
-
 def _names(line: str) -> list[str]:
     """The names of columns in a line, without units: ``# p_RS_R_x [m], ...``."""
     text = _UNIT_WORDS.sub("", line.lstrip("\ufeff# \t"))
@@ -151,26 +159,6 @@ def _by_names(names: list[str]) -> Columns | None:
     # They are read in the order x y z w wherever they stand.
     orientation = tuple(quats[axis] for axis in "xyzw") if quats else ()
     return Columns(len(names), time, position_places, orientation, QuaternionOrder.XYZW if quats else None)
-
-
-def _by_count(data: bytes, count: int) -> Columns | None:
-    """The layout of a system that writes so many columns without names, if the numbers fit."""
-    if count not in SYSTEMS or count <= _POSE_COLUMNS:
-        return None
-    try:
-        values = parse_table(data, "", count, "").values
-    except InvalidInput:
-        return None
-    whole = count == _WHOLE_MATRIX_COLUMNS and (values[:, 13:] == [0, 0, 0, 1]).all()
-    if count == _MATRIX_COLUMNS or whole:
-        places = (1, 2, 3, 5, 6, 7, 9, 10, 11)
-        R = values[:, list(places)].reshape(-1, 3, 3)
-        with np.errstate(over="ignore", invalid="ignore"):
-            fits = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() < _ORTHOGONAL and (np.linalg.det(R) > 0).all()
-        return Columns(count, 0, (4, 8, 12), places, QuaternionOrder.XYZW) if fits else None
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(np.linalg.norm(values[:, 4:8], axis=1) - 1)
-    return Columns(count, 0, (1, 2, 3), (4, 5, 6, 7)) if (off <= QUATERNION_TOLERANCE).all() else None
 
 
 # Files of poses in any of the common formats: the layout of rows, unit of times and order of quaternions.

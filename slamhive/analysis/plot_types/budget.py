@@ -134,11 +134,24 @@ class BudgetCurves(base.PlotType[BudgetOptions]):
         """Two plots for each budget, a table of the budgets that are enough, the raw data, a sentence for each."""
         table = data.table.require_runs()
         metric = base.directed(table, options.metric, "a mean")
-        columns = _budgets(table, options)
+        # A curve needs two values of its budget.
+        keys = list(dict.fromkeys(options.budgets)) or [key for key in BUDGETS if table.frame[key].nunique() > 1]
+        if not keys:
+            raise InvalidInput(
+                f"neither {' nor '.join(BUDGETS)} varies in the selection",
+                "vary them (limits: {cpus: 0.5 | 1}), or name other budgets",
+            )
+        columns = [table.numeric(key, "a budget") for key in keys]
+        for column in columns:
+            if table.frame[column.key].nunique() < 2:
+                raise InvalidInput(
+                    f"{column.key!r} has one value in the selection", "select runs with two values or more"
+                )
         protocol = table.one_protocol([metric.key])
         shown = base.with_values(table, [metric.key])
         needed = [entry for column in columns for entry in _needed(table, column, columns, options)]
-        rule_words = _rule_words(metric, options)
+        more = f" by more than {100 * options.failing:g} %" if options.failing else ""
+        rule_words = f"mean {_bound_words(metric, options)}, and no more failures{more} than the budget with the fewest"
         charts: list[Chart] = []
         for column in columns:
             rows = table.with_rows(_with_most(table.frame, column, columns))
@@ -159,21 +172,6 @@ class BudgetCurves(base.PlotType[BudgetOptions]):
             lacking=[*(column.key for column in columns), metric.key],
         )
         return replace(result, notes=tuple(_sentences(table, needed, columns, options)))
-
-
-def _budgets(table: RunTable, options: BudgetOptions) -> list[Column]:
-    """The budgets that the curves are over; each needs two values."""
-    keys = list(dict.fromkeys(options.budgets)) or [key for key in BUDGETS if table.frame[key].nunique() > 1]
-    if not keys:
-        raise InvalidInput(
-            f"neither {' nor '.join(BUDGETS)} varies in the selection",
-            "vary them (limits: {cpus: 0.5 | 1}), or name other budgets",
-        )
-    columns = [table.numeric(key, "a budget") for key in keys]
-    for column in columns:
-        if table.frame[column.key].nunique() < 2:
-            raise InvalidInput(f"{column.key!r} has one value in the selection", "select runs with two values or more")
-    return columns
 
 
 def _with_most(frame: pd.DataFrame, column: Column, columns: Sequence[Column]) -> pd.DataFrame:
@@ -213,11 +211,6 @@ def _bound_words(metric: Column, options: BudgetOptions) -> str:
         return f"{metric.label} within {100 * options.margin:g} % of the best"
     sign = ">=" if metric.direction is Direction.HIGHER else "<="
     return f"{metric.label} {sign} {options.at_most:g} {metric.unit}".strip()
-
-
-def _rule_words(metric: Column, options: BudgetOptions) -> str:
-    more = f" by more than {100 * options.failing:g} %" if options.failing else ""
-    return f"mean {_bound_words(metric, options)}, and no more failures{more} than the budget with the fewest"
 
 
 def _charts(

@@ -259,8 +259,14 @@ class Importance(base.PlotType[ImportanceOptions]):
             _bars(accuracy, failing, options.title or f"What {metric.label} depends on", metric.label, text),
             _map(accuracy, f"Interactions in {metric.label}", text),
         )
+        columns = (
+            TableColumn("parameter", "Parameter"),
+            TableColumn("accuracy", f"Variance of {metric.label} explained", "%"),
+            TableColumn("failing", "Variance of failing explained", "%"),
+        )
+        note = f"Empty: the runs cannot show it. {text}"
         tables = (
-            _shares_table(accuracy, failing, metric.label, text),
+            ResultTable("importance", "Importance", columns, tuple(_rows(accuracy, failing)), note),
             base.raw_table("importance_raw", table, [*names, metric.key]),
         )
         return base.result_of(table, protocol, charts, tables, lacking=[metric.key])
@@ -360,16 +366,6 @@ def _map(effects: Effects, title: str, text: str) -> Chart:
             f"runs cannot show it. {text}"
         ),
     )
-
-
-def _shares_table(accuracy: Effects, failing: Effects, label: str, text: str) -> ResultTable:
-    columns = (
-        TableColumn("parameter", "Parameter"),
-        TableColumn("accuracy", f"Variance of {label} explained", "%"),
-        TableColumn("failing", "Variance of failing explained", "%"),
-    )
-    note = f"Empty: the runs cannot show it. {text}"
-    return ResultTable("importance", "Importance", columns, tuple(_rows(accuracy, failing)), note)
 
 
 def _rows(accuracy: Effects, failing: Effects) -> Iterator[tuple[Cell, ...]]:

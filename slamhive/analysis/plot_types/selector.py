@@ -135,6 +135,21 @@ class Selector(base.PlotType[SelectorOptions]):
         )
         charts = (_chart(chosen[:_SHOWN], rank, options.title, text, table),) if chosen else ()
         notes = () if chosen else (f"No tested setting keeps {words}.",)
+
+        # Pairs of algorithm and dataset that were never run.
+        columns = (TableColumn("algorithm", "Algorithm"), TableColumn("dataset", "Never run on"))
+        tested = set(zip(table.frame["algorithm"], table.frame["dataset"], strict=True))
+        setups = set(table.frame["sensors"].dropna())
+        algorithms = set(table.frame["algorithm"]) | {
+            name for name, setup in table.installed.items() if setup in setups
+        }
+        untested: tuple[tuple[Cell, ...], ...] = tuple(
+            (algorithm, dataset)
+            for algorithm in sorted(algorithms)
+            for dataset in sorted(table.frame["dataset"].unique())
+            if (algorithm, dataset) not in tested
+        )
+        note = "Algorithms of this selection, and installed ones with the same sensors, on its datasets."
         result = base.result_of(
             table,
             protocol,
@@ -142,7 +157,7 @@ class Selector(base.PlotType[SelectorOptions]):
             (
                 _ranking(chosen, rank.label, rank.unit, "" if chosen else text),
                 _reasons(table, bounds),
-                _untested(table),
+                ResultTable("untested", "Never tested", columns, untested, note),
                 base.raw_table("selector_raw", table, [rank.key, *(bound.key for bound in bounds)]),
             ),
         )
@@ -212,19 +227,3 @@ def _reasons(table: RunTable, bounds: list[SelectorBound]) -> ResultTable:
         kept = [int(bound.holds(base.number_column(good, bound.key)).sum()) for bound in bounds]
         rows.append((str(algorithm), len(group), len(group) - len(good), *kept))
     return ResultTable("bounds", "Runs that keep each bound", tuple(columns), tuple(rows))
-
-
-def _untested(table: RunTable) -> ResultTable:
-    """Pairs that were never run: algorithms of the selection or installed ones with the same sensors, by dataset."""
-    columns = (TableColumn("algorithm", "Algorithm"), TableColumn("dataset", "Never run on"))
-    tested = set(zip(table.frame["algorithm"], table.frame["dataset"], strict=True))
-    setups = set(table.frame["sensors"].dropna())
-    algorithms = set(table.frame["algorithm"]) | {name for name, setup in table.installed.items() if setup in setups}
-    rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (algorithm, dataset)
-        for algorithm in sorted(algorithms)
-        for dataset in sorted(table.frame["dataset"].unique())
-        if (algorithm, dataset) not in tested
-    )
-    note = "Algorithms of this selection, and installed ones with the same sensors, on its datasets."
-    return ResultTable("untested", "Never tested", columns, rows, note)

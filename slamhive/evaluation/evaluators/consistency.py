@@ -70,7 +70,16 @@ class Consistency:
         values = _nees("nees.position", errors_m[own], covariances.matrices[theirs, :3, :3])
         if not paired.rotations_known:
             return MetricValues(values, dict.fromkeys(self.keys[2:], paired.rotations_unknown))
-        turns_rad = _rotation_errors_rad(paired, in_body=covariances.in_body)[own]
+        # Rotation vectors from the estimated to the true orientations, in the world of the estimate, (n, 3).
+        to_estimate = inverse_quats(quats_from_rotations(transform.rotation[None]))
+        true = multiply_quats(to_estimate, paired.matched_reference.quats_xyzw)
+        back = inverse_quats(paired.matched_estimate.quats_xyzw)
+        turned = multiply_quats(back, true) if covariances.in_body else multiply_quats(true, back)
+        turned *= np.where(turned[:, 3:] < 0, -1.0, 1.0)
+        lengths = np.linalg.norm(turned[:, :3], axis=1, keepdims=True)
+        # Of a rotation by almost nothing the vector part is half the rotation vector.
+        factors = np.where(lengths > 0, 2.0 * np.arctan2(lengths, turned[:, 3:]) / np.maximum(lengths, 1e-300), 2.0)
+        turns_rad = np.asarray(factors * turned[:, :3])[own]
         return MetricValues(values | _nees("nees.orientation", turns_rad, covariances.matrices[theirs, 3:, 3:]))
 
 
@@ -111,19 +120,6 @@ def read_covariances(path: Path) -> Covariances:
         found = f"the covariance is not positive definite: its smallest eigenvalue is {smallest[row]:.3g}"
         raise table.error(row, found, "write covariances, of all six in the order x y z rx ry rz")
     return Covariances(stamps_s, matrices, in_body)
-
-
-def _rotation_errors_rad(paired: Paired, *, in_body: bool) -> FloatArray:
-    """Rotation vectors from the estimated to the true orientations, in the world of the estimate, (n, 3)."""
-    to_estimate = inverse_quats(quats_from_rotations(paired.transform.rotation[None]))
-    true = multiply_quats(to_estimate, paired.matched_reference.quats_xyzw)
-    back = inverse_quats(paired.matched_estimate.quats_xyzw)
-    turned = multiply_quats(back, true) if in_body else multiply_quats(true, back)
-    turned *= np.where(turned[:, 3:] < 0, -1.0, 1.0)
-    lengths = np.linalg.norm(turned[:, :3], axis=1, keepdims=True)
-    # Of a rotation by almost nothing the vector part is half the rotation vector.
-    factors = np.where(lengths > 0, 2.0 * np.arctan2(lengths, turned[:, 3:]) / np.maximum(lengths, 1e-300), 2.0)
-    return np.asarray(factors * turned[:, :3])
 
 
 def _nees(key: str, errors: FloatArray, covariances: FloatArray) -> dict[str, float]:

@@ -101,8 +101,16 @@ def parse_relations(data: bytes, name: str) -> Relations:
     if largest_rad.max() > _WHOLE_TURN_RAD:
         row = int(largest_rad.argmax())
         raise table.error(row, f"an angle of {largest_rad[row]:g} is more than a turn", "write radians, not degrees")
+    # Angles are roll, pitch and yaw: R = Rz(yaw) Ry(pitch) Rx(roll).
+    half = table.values[:, 5:8] / 2.0
+    axes = []
+    for axis in range(3):
+        quats = np.zeros((len(half), 4))
+        quats[:, axis], quats[:, 3] = np.sin(half[:, axis]), np.cos(half[:, axis])
+        axes.append(quats)
+    roll, pitch, yaw = axes
     return Relations(
-        table.values[:, 0], table.values[:, 1], table.values[:, 2:5], _quats_from_euler(table.values[:, 5:8])
+        table.values[:, 0], table.values[:, 1], table.values[:, 2:5], multiply_quats(yaw, multiply_quats(pitch, roll))
     )
 
 
@@ -140,15 +148,3 @@ def relation_errors(relations: Relations, estimate: Trajectory, gap_s: float) ->
         **statistics("relations.rotation", errors_deg, _NAMES),
         "relations.matched_fraction": float(np.mean(covered)),
     }
-
-
-def _quats_from_euler(angles_rad: FloatArray) -> FloatArray:
-    """Quaternions of roll, pitch, yaw, shape (n, 3): R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    half = angles_rad / 2.0
-    axes = []
-    for axis in range(3):
-        quats = np.zeros((len(half), 4))
-        quats[:, axis], quats[:, 3] = np.sin(half[:, axis]), np.cos(half[:, axis])
-        axes.append(quats)
-    roll, pitch, yaw = axes
-    return multiply_quats(yaw, multiply_quats(pitch, roll))

@@ -29,7 +29,6 @@ from slamhive.domain.metrics.trajectories import (
 from slamhive.domain.protocol import Alignment, Association, SegmentRule
 from slamhive.evaluation.evaluators.base import KITTI_ESTIMATE, KITTI_REFERENCE, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.relative import (
-    IndexArray,
     Pairs,
     all_pairs,
     distance_errors_m,
@@ -304,7 +303,16 @@ def kitti_segments(T_reference: FloatArray, T_estimate: FloatArray) -> KittiSegm
         T_reference: Poses Q, shape (n, 4, 4).
         T_estimate: Poses P, one for each of them.
     """
-    firsts, lasts, lengths_m = _segment_ends(T_reference[:, :3, 3])
+    # In single precision, as trajectoryDistances of the devkit adds it up.
+    positions_m = T_reference[:, :3, 3]
+    steps_m = np.linalg.norm(np.diff(positions_m, axis=0).astype(np.float32), axis=1)
+    path_m = np.concatenate((np.zeros(1, dtype=np.float32), np.cumsum(steps_m, dtype=np.float32)))
+    starts = np.arange(0, len(positions_m), KITTI_STEP)
+    ends = np.searchsorted(path_m, path_m[starts, None] + np.array(KITTI_LENGTHS_M, dtype=np.float32), side="right")
+    kept = ends < len(positions_m)
+    firsts, lasts = np.broadcast_to(starts[:, None], kept.shape)[kept], ends[kept]
+    lengths_m = np.broadcast_to(np.array(KITTI_LENGTHS_M, dtype=np.float64), kept.shape)[kept]
+
     true = np.linalg.inv(T_reference[firsts]) @ T_reference[lasts]
     estimated = np.linalg.inv(T_estimate[firsts]) @ T_estimate[lasts]
     errors = (np.linalg.inv(estimated) @ true).astype(np.float32)
@@ -313,20 +321,6 @@ def kitti_segments(T_reference: FloatArray, T_estimate: FloatArray) -> KittiSegm
     cosines = np.clip((0.5 * (traces.astype(np.float64) - 1.0)).astype(np.float32), -1.0, 1.0)
     angles_rad = np.arccos(cosines).astype(np.float64)
     return KittiSegments(lengths_m, translations_m.astype(np.float64) / lengths_m, angles_rad / lengths_m)
-
-
-def _segment_ends(positions_m: FloatArray) -> tuple[IndexArray, IndexArray, FloatArray]:
-    # In single precision, as trajectoryDistances of the devkit adds it up.
-    steps_m = np.linalg.norm(np.diff(positions_m, axis=0).astype(np.float32), axis=1)
-    path_m = np.concatenate((np.zeros(1, dtype=np.float32), np.cumsum(steps_m, dtype=np.float32)))
-    firsts = np.arange(0, len(positions_m), KITTI_STEP)
-    lengths_m = np.array(KITTI_LENGTHS_M, dtype=np.float32)
-    ends_m = path_m[firsts, None] + lengths_m
-    lasts = np.searchsorted(path_m, ends_m, side="right")
-    kept = lasts < len(positions_m)
-    all_firsts = np.broadcast_to(firsts[:, None], kept.shape)
-    all_lengths_m = np.broadcast_to(np.array(KITTI_LENGTHS_M, dtype=np.float64), kept.shape)
-    return all_firsts[kept], lasts[kept], all_lengths_m[kept]
 
 
 def _matrices(poses: Poses) -> FloatArray:

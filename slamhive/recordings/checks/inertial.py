@@ -171,7 +171,14 @@ class RatePair:
 def pair_rates(stream: StreamEvidence, poses: Trajectory) -> RatePair | str:
     """The angular rates of an IMU and of the ground truth, or why they cannot be compared."""
     assert stream.imu is not None
-    times_s, turned = _integral(stream.header_ns[: len(stream.imu)] * 1e-9, stream.imu[:, :3].astype(np.float64))
+    # The integral of the rates up to each of increasing times, (m, 3), by the trapezoidal rule.
+    times_s = stream.header_ns[: len(stream.imu)] * 1e-9
+    rates = stream.imu[:, :3].astype(np.float64)
+    finite = np.isfinite(rates).all(axis=1)
+    times_s, chosen = np.unique(times_s[finite], return_index=True)
+    rates = rates[finite][chosen]
+    areas = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times_s)[:, None]
+    turned = np.vstack((np.zeros(3), np.cumsum(areas, axis=0)))
     if len(times_s) < FEWEST_CELLS:
         return "the IMU has too few valid samples"
     cell_s = max(CELL_S, median_step_s(poses), 2.0 / stream.sensor.rate_hz)
@@ -201,15 +208,6 @@ def rotation_vectors(quats_xyzw: Array) -> Array:
     sines = np.linalg.norm(between[:, :3], axis=1, keepdims=True)
     angles = 2.0 * np.arctan2(sines, between[:, 3:])
     return np.asarray(np.where(sines > 1e-12, between[:, :3] / np.maximum(sines, 1e-12) * angles, 0.0))
-
-
-def _integral(times_s: Array, rates: Array) -> tuple[Array, Array]:
-    """Increasing times (m,) and the integral of ``rates`` up to each, (m, 3), by the trapezoidal rule."""
-    finite = np.isfinite(rates).all(axis=1)
-    times_s, chosen = np.unique(times_s[finite], return_index=True)
-    rates = rates[finite][chosen]
-    areas = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times_s)[:, None]
-    return times_s, np.vstack((np.zeros(3), np.cumsum(areas, axis=0)))
 
 
 def _peak(offsets_s: Array, scores: Array) -> float:

@@ -240,7 +240,23 @@ def read_kalibr(path: Path, content: Mapping[str, Any]) -> KnownCalibration:
     for name, entry in entries.items():
         part = CalibrationFile(f"{path}: {name}", entry if isinstance(entry, dict) else {})
         if _CAMERA.fullmatch(name):
-            _add_camera(known, path, name, part)
+            frame = f"{path}:{name}"
+            shift_s = part.optional("timeshift_cam_imu")
+            if shift_s is not None and abs(shift_s) > _MOST_SHIFT_S:
+                raise InvalidInput(f"{part.name}: timeshift_cam_imu is {shift_s:g} s", "expected seconds, -10 to 10")
+            more: dict[str, CalibrationValue] = {TIME_OFFSET: shift_s} if shift_s else {}
+            intrinsics = _intrinsics(part)
+            known.sensors.append(
+                KnownSensor(name, SensorKind.CAMERA, part.word("rostopic", ""), frame, intrinsics, more=more)
+            )
+            T_cam_imu, T_imu_cam = _transform(part, "T_cam_imu"), _transform(part, "T_imu_cam")
+            if T_cam_imu is not None:
+                T_imu_cam = inverse(T_cam_imu)
+            if T_imu_cam is not None:
+                known.transforms.append(("imu0", frame, T_imu_cam))
+            T_cam_previous = _transform(part, "T_cn_cnm1")
+            if T_cam_previous is not None:
+                known.transforms.append((f"{path}:cam{int(name[3:]) - 1}", frame, inverse(T_cam_previous)))
             _name_unread(known, path, name, part, _CAMERA_KEYS)
         elif _IMU.fullmatch(name):
             noise = ImuNoise(**{key: part.optional(key) for key in ImuNoise.__slots__})
@@ -262,24 +278,6 @@ def _name_unread(known: KnownCalibration, path: Path, name: str, entry: Calibrat
     if unread:
         are = "is" if len(unread) == 1 else "are"
         known.notes.append(f"{', '.join(unread)} of {name} in {path.name} {are} not read")
-
-
-def _add_camera(known: KnownCalibration, path: Path, name: str, entry: CalibrationFile) -> None:
-    frame = f"{path}:{name}"
-    shift_s = entry.optional("timeshift_cam_imu")
-    if shift_s is not None and abs(shift_s) > _MOST_SHIFT_S:
-        raise InvalidInput(f"{entry.name}: timeshift_cam_imu is {shift_s:g} s", "expected seconds, -10 to 10")
-    more: dict[str, CalibrationValue] = {TIME_OFFSET: shift_s} if shift_s else {}
-    intrinsics = _intrinsics(entry)
-    known.sensors.append(KnownSensor(name, SensorKind.CAMERA, entry.word("rostopic", ""), frame, intrinsics, more=more))
-    T_cam_imu, T_imu_cam = _transform(entry, "T_cam_imu"), _transform(entry, "T_imu_cam")
-    if T_cam_imu is not None:
-        T_imu_cam = inverse(T_cam_imu)
-    if T_imu_cam is not None:
-        known.transforms.append(("imu0", frame, T_imu_cam))
-    T_cam_previous = _transform(entry, "T_cn_cnm1")
-    if T_cam_previous is not None:
-        known.transforms.append((f"{path}:cam{int(name[3:]) - 1}", frame, inverse(T_cam_previous)))
 
 
 def _intrinsics(entry: CalibrationFile) -> CameraIntrinsics:

@@ -398,9 +398,33 @@ class KittiRawImporter:
         rows = np.array([read_packet(path) for path in files])
         streams.append(packet_imu(times_ns, rows))
         streams.append(packet_gnss(times_ns, rows))
-        truth = _raw_truth(times_ns, rows)
+        # Positions by Mercator projection scaled at the first latitude, relative to the first; z points up.
+        scale = math.cos(math.radians(rows[0, _LAT]))
+        x_m = scale * _EARTH_RADIUS_M * np.radians(rows[:, _LON])
+        y_m = scale * _EARTH_RADIUS_M * np.log(np.tan(np.radians(90 + rows[:, _LAT]) / 2))
+        positions_m = np.column_stack((x_m, y_m, rows[:, _ALT]))
+        quats_xyzw = quaternions_from_rotations(rotation_xyz(rows[:, _ROLL], rows[:, _PITCH], rows[:, _YAW]))
+        truth = PlannedTruth(
+            times_ns / NS_PER_S,
+            positions_m - positions_m[0],
+            quats_xyzw,
+            gravity_aligned=True,
+            source="GNSS and IMU (RTK)",
+        )
         notes.extend(matched_truth(truth, streams))
-        return ImportPlan(tuple(streams), truth, _raw_text(source), notes=tuple(notes))
+        return ImportPlan(
+            tuple(streams),
+            truth,
+            DatasetText(
+                title=f"KITTI raw, {source.resolve().name}",
+                description="A synchronised drive of the KITTI raw data; the body is the IMU.",
+                licence="CC BY-NC-SA 3.0",
+                citation="Geiger, Lenz, Stiller, Urtasun: Vision meets robotics: The KITTI dataset. IJRR 2013",
+                source="https://www.cvlibs.net/datasets/kitti/raw_data.php",
+                attributes=("real", "outdoor", "car"),
+            ),
+            notes=tuple(notes),
+        )
 
 
 def _calibration_file(source: Path, name: str) -> Path:
@@ -523,26 +547,3 @@ def packet_gnss(times_ns: Array, rows: Array) -> PlannedStream:
     """Latitude, longitude and altitude of the IMU, to which the receiver's positions are reduced."""
     sensor = Sensor("gnss0", SensorKind.GNSS, "/gnss0", rate_hz(times_ns))
     return gnss_stream(sensor, times_ns, rows[:, _LAT : _ALT + 1])
-
-
-def _raw_truth(times_ns: Array, rows: Array) -> PlannedTruth:
-    """Positions by Mercator projection scaled at the first latitude, relative to the first; z points up."""
-    scale = math.cos(math.radians(rows[0, _LAT]))
-    x_m = scale * _EARTH_RADIUS_M * np.radians(rows[:, _LON])
-    y_m = scale * _EARTH_RADIUS_M * np.log(np.tan(np.radians(90 + rows[:, _LAT]) / 2))
-    positions_m = np.column_stack((x_m, y_m, rows[:, _ALT]))
-    quats_xyzw = quaternions_from_rotations(rotation_xyz(rows[:, _ROLL], rows[:, _PITCH], rows[:, _YAW]))
-    return PlannedTruth(
-        times_ns / NS_PER_S, positions_m - positions_m[0], quats_xyzw, gravity_aligned=True, source="GNSS and IMU (RTK)"
-    )
-
-
-def _raw_text(source: Path) -> DatasetText:
-    return DatasetText(
-        title=f"KITTI raw, {source.resolve().name}",
-        description="A synchronised drive of the KITTI raw data; the body is the IMU.",
-        licence="CC BY-NC-SA 3.0",
-        citation="Geiger, Lenz, Stiller, Urtasun: Vision meets robotics: The KITTI dataset. IJRR 2013",
-        source="https://www.cvlibs.net/datasets/kitti/raw_data.php",
-        attributes=("real", "outdoor", "car"),
-    )

@@ -86,7 +86,13 @@ class Kitti360Importer:
             streams += [packet_imu(times_ns, rows, T_body_unit), packet_gnss(times_ns, rows)]
         if not streams:
             raise InvalidInput(f"{source} has no recording of {sequence}", f"unpack its {_IMAGES} or {_SCANS}")
-        truth = _truth(poses / "poses.txt", _frame_clock(images, scans))
+        # Cameras expose when the scanner faces forward, so all sensors share the timestamps of frames.
+        clocks = [images / f"image_{number:02d}" / "timestamps.txt" for number in _RECTIFIED]
+        clocks.append(scans / "velodyne_points" / "timestamps.txt")
+        found = next((path for path in clocks if path.is_file()), None)
+        if found is None:
+            raise InvalidInput(f"{clocks[0]} is missing, and so are those of the other sensors", "complete the folder")
+        truth = _truth(poses / "poses.txt", read_clock(found))
         notes.extend(matched_truth(truth, streams))
         return ImportPlan(tuple(streams), truth, _text(sequence), notes=tuple(notes))
 
@@ -102,16 +108,6 @@ def _sequence(source: Path, wanted: str | None) -> str:
     if wanted is not None:
         problem += f", none called {wanted!r}"
     raise InvalidInput(problem, f"name one with --sequence: {', '.join(names)}" if names else "unpack the poses")
-
-
-def _frame_clock(images: Path, scans: Path) -> dict[int, int]:
-    """{Number of a frame: its timestamp in ns}: cameras expose when the scanner faces forward, so they share it."""
-    clocks = [images / f"image_{number:02d}" / "timestamps.txt" for number in _RECTIFIED]
-    clocks.append(scans / "velodyne_points" / "timestamps.txt")
-    found = next((path for path in clocks if path.is_file()), None)
-    if found is None:
-        raise InvalidInput(f"{clocks[0]} is missing, and so are those of the other sensors", "complete the folder")
-    return read_clock(found)
 
 
 def _camera(folder: Path, calibration: Path, number: int, notes: list[str]) -> PlannedStream:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -417,7 +417,24 @@ def match_topics(bag: SourceBag, chosen: Mapping[str, str], *, without: str | No
 
     Raises InvalidInput for a topic that does not exist or does not fit, or that two sensors share.
     """
-    found, reasons, notes = _by_kind(bag, {without or "", *chosen.values()})
+    taken = {without or "", *chosen.values()}
+    found: dict[SensorKind, list[SourceTopic]] = {}
+    reasons: dict[str, str] = {}
+    notes: list[str] = []
+    for topic in bag.of_type(*KINDS):
+        if topic.name in taken:
+            continue
+        reason, kind = _look(bag, topic)
+        if reason:
+            reasons[topic.name] = reason
+        else:
+            found.setdefault(kind, []).append(topic)
+    for kind in _IMAGES & found.keys():
+        found[kind], left_out = _one_topic_each(bag, found[kind])
+        notes += left_out
+    # In the order of their numbers, by which they are named.
+    found = {kind: _in_order(entries) for kind, entries in found.items()}
+
     named = _chosen(bag, chosen)
     topics: dict[str, SourceTopic] = {}
     for kind, prefix in PREFIXES.items():
@@ -425,12 +442,12 @@ def match_topics(bag: SourceBag, chosen: Mapping[str, str], *, without: str | No
         if not own:
             own = {f"{prefix}{number}": topic for number, topic in enumerate(found.get(kind, ()))}
         topics.update(own)
-    for name, topic in chosen.items():
-        if topic == NO_TOPIC and topics.pop(name, None) is None:
+    for name, wanted in chosen.items():
+        if wanted == NO_TOPIC and topics.pop(name, None) is None:
             raise InvalidInput(f"--topic {name}=none: there is no such sensor; {nearest(name, list(topics))}")
     if not topics:
         others = {topic.name: f"it holds {topic.type}" for topic in bag.topics.values() if topic.type not in KINDS}
-        listed = [f"{name}: {reason}" for name, reason in {**reasons, **bag.unreadable, **others}.items()]
+        listed = [f"{name}: {why}" for name, why in {**reasons, **bag.unreadable, **others}.items()]
         more = f", and {len(listed) - _MOST_LISTED} more" if len(listed) > _MOST_LISTED else ""
         raise InvalidInput(
             f"{bag.path} has no topic of a sensor that can be read ({'; '.join(listed[:_MOST_LISTED])}{more})",
@@ -459,27 +476,6 @@ def _chosen(bag: SourceBag, chosen: Mapping[str, str]) -> dict[str, SourceTopic]
 
 
 _IMAGES = {SensorKind.CAMERA, SensorKind.DEPTH}
-
-
-def _by_kind(
-    bag: SourceBag, without: Collection[str]
-) -> tuple[dict[SensorKind, list[SourceTopic]], dict[str, str], list[str]]:
-    """The topics of each kind in the order of their numbers, why others are left out, and notes."""
-    found: dict[SensorKind, list[SourceTopic]] = {}
-    reasons: dict[str, str] = {}
-    notes: list[str] = []
-    for topic in bag.of_type(*KINDS):
-        if topic.name in without:
-            continue
-        reason, kind = _look(bag, topic)
-        if reason:
-            reasons[topic.name] = reason
-        else:
-            found.setdefault(kind, []).append(topic)
-    for kind in _IMAGES & found.keys():
-        found[kind], more = _one_topic_each(bag, found[kind])
-        notes += more
-    return {kind: _in_order(topics) for kind, topics in found.items()}, reasons, notes
 
 
 def _look(bag: SourceBag, topic: SourceTopic) -> tuple[str, SensorKind]:

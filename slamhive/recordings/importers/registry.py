@@ -32,7 +32,7 @@ from slamhive.recordings.importers.tum_rgbd import Eth3dImporter, TumRgbdImporte
 from slamhive.recordings.importers.untimed_frames import ReplicaImporter, SevenScenesImporter, TartanAirImporter
 from slamhive.recordings.importers.video import VideoImporter
 from slamhive.recordings.importers.vslam_lab import VslamLabImporter
-from slamhive.recordings.importing import Detection, ImportOptions, ImportPlan, PlannedTruth, refuse_losses
+from slamhive.recordings.importing import Detection, ImportOptions, ImportPlan, refuse_losses
 from slamhive.trajectory.model import lacking
 
 
@@ -140,23 +140,19 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
             note = f"the ground truth has positions only{reason}: runs get no rotation errors"
             plan = replace(plan, truth=replace(truth, quats_xyzw=None), notes=(*plan.notes, note))
     if options.uncertainty_m is not None:
-        plan = replace(plan, truth=_of_uncertainty(plan, options.uncertainty_m))
+        if not 0 < options.uncertainty_m <= MOST_UNCERTAIN_M:
+            raise InvalidInput(
+                f"an uncertainty of {options.uncertainty_m:g} m is none",
+                "give a standard deviation in metres, for instance 0.01",
+            )
+        if plan.truth is None:
+            raise InvalidInput(
+                f"the uncertainty of {options.uncertainty_m:g} m belongs to no ground truth: there is none",
+                "give the ground truth, or leave the uncertainty out",
+            )
+        plan = replace(plan, truth=replace(plan.truth, uncertainty_m=options.uncertainty_m))
     refuse_losses(plan.notes, accepted=options.accept_loss)
     return name, plan
-
-
-def _of_uncertainty(plan: ImportPlan, uncertainty_m: float) -> PlannedTruth:
-    """The ground truth of the plan with a standard deviation that the user states."""
-    if not 0 < uncertainty_m <= MOST_UNCERTAIN_M:
-        raise InvalidInput(
-            f"an uncertainty of {uncertainty_m:g} m is none", "give a standard deviation in metres, for instance 0.01"
-        )
-    if plan.truth is None:
-        raise InvalidInput(
-            f"the uncertainty of {uncertainty_m:g} m belongs to no ground truth: there is none",
-            "give the ground truth, or leave the uncertainty out",
-        )
-    return replace(plan.truth, uncertainty_m=uncertainty_m)
 
 
 def detect_format(path: Path) -> str:

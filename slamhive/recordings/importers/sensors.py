@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -284,7 +283,14 @@ class SensorBuilder:
         add_static_transforms(self.bag, static)
         for parent, child, T in static.edges():
             graph.add(_TF + parent, _TF + child, T)
-        for frame, owners in self._frame_owners().items():
+        owners_of: dict[str, list[str]] = {}
+        for name, topic in self.matching.topics.items():
+            message = self.bag.first(topic.name)
+            # odometry is that of its child frame; the header has the fixed one
+            frame = plain_frame(getattr(message, "child_frame_id", message.header.frame_id))
+            if frame:
+                owners_of.setdefault(frame, []).append(name)
+        for frame, owners in owners_of.items():
             cameras = [name for name in owners if self.matching.kind(name) is SensorKind.CAMERA]
             for name in owners:
                 if frame in static and (len(cameras) < 2 or name not in cameras):
@@ -301,16 +307,6 @@ class SensorBuilder:
                 if graph.find(left, name) is None or name == left:
                     graph.add(pair, name, stereo_pose(info, names_of_topics[name]))
         return graph, self._body(graph)
-
-    def _frame_owners(self) -> Mapping[str, list[str]]:
-        owners: dict[str, list[str]] = {}
-        for name, topic in self.matching.topics.items():
-            message = self.bag.first(topic.name)
-            # odometry is that of its child frame; the header has the fixed one
-            frame = plain_frame(getattr(message, "child_frame_id", message.header.frame_id))
-            if frame:
-                owners.setdefault(frame, []).append(name)
-        return owners
 
     def _body(self, graph: FrameGraph) -> str:
         """Frame of the ground truth if anything connects it to a sensor, else of the calibration or a sensor."""

@@ -262,8 +262,19 @@ class Eth3dImporter:
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """Plan the import of the sequence; raises InvalidInput naming the file, the line and the remedy."""
         colour, notes = listed_frames(source, _COLOUR)
+        # ``fx fy cx cy`` on one line; images are undistorted.
+        path = source / _CAMERA
+        try:
+            fx, fy, cx, cy = read_pose_table(path, 4, "fx fy cx cy")[0].tolist()
+        except NotFound as error:
+            raise InvalidInput(error.message, "complete the folder") from None
+        if not 0 < min(fx, fy) <= max(fx, fy, abs(cx), abs(cy)) < 1e6:
+            raise InvalidInput(
+                f"{path}: {fx:g} {fy:g} {cx:g} {cy:g} are no intrinsics", "expected fx fy cx cy in pixels"
+            )
+        width, height = size_of(colour.paths[0])
         streams: list[PlannedStream] = [
-            camera_stream("cam0", colour, _eth3d_intrinsics(source / _CAMERA, colour.paths[0]))
+            camera_stream("cam0", colour, CameraIntrinsics(width, height, fx, fy, cx, cy, distortion=(0.0,) * 4))
         ]
         if (source / _DEPTH).is_file():
             depth, remarks = listed_frames(source, _DEPTH)
@@ -292,15 +303,3 @@ class Eth3dImporter:
             ),
             notes=(*notes, *matched_truth(truth, streams)),
         )
-
-
-def _eth3d_intrinsics(path: Path, image: Path) -> CameraIntrinsics:
-    """``fx fy cx cy`` on one line; images are undistorted."""
-    try:
-        fx, fy, cx, cy = read_pose_table(path, 4, "fx fy cx cy")[0].tolist()
-    except NotFound as error:
-        raise InvalidInput(error.message, "complete the folder") from None
-    if not 0 < min(fx, fy) <= max(fx, fy, abs(cx), abs(cy)) < 1e6:
-        raise InvalidInput(f"{path}: {fx:g} {fy:g} {cx:g} {cy:g} are no intrinsics", "expected fx fy cx cy in pixels")
-    width, height = size_of(image)
-    return CameraIntrinsics(width, height, fx, fy, cx, cy, distortion=(0.0,) * 4)

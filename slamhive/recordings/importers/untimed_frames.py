@@ -86,7 +86,19 @@ class SevenScenesImporter:
         truth, notes = _scenes_truth(source, frames_per_s)
         published = "depth is taken as registered to colour, with one focal length for both, as the authors say"
         notes = (nominal_note(frames_per_s), published, *notes, *matched_truth(truth, streams))
-        return ImportPlan(streams, truth, _scenes_text(source), notes=notes)
+        return ImportPlan(
+            streams,
+            truth,
+            DatasetText(
+                title=f"7-Scenes, {source.resolve().name}",
+                description="Colour and depth images of a Kinect; the body is the camera.",
+                licence="Microsoft 7-Scenes: non-commercial research",
+                citation="Shotton et al.: Scene coordinate regression forests for camera relocalization. CVPR 2013",
+                source="https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes/",
+                attributes=("real", "indoor", "handheld"),
+            ),
+            notes=notes,
+        )
 
 
 def _scenes_read_depth(path: Path, encoding: str) -> Array:
@@ -107,17 +119,6 @@ def _scenes_truth(source: Path, frames_per_s: float) -> tuple[PlannedTruth | Non
         return None, notes
     times_ns = nominal_times_ns(list(known), frames_per_s)
     return truth_of_matrices(times_ns, np.array(list(known.values())), "KinectFusion"), notes
-
-
-def _scenes_text(source: Path) -> DatasetText:
-    return DatasetText(
-        title=f"7-Scenes, {source.resolve().name}",
-        description="Colour and depth images of a Kinect; the body is the camera.",
-        licence="Microsoft 7-Scenes: non-commercial research",
-        citation="Shotton et al.: Scene coordinate regression forests for camera relocalization. CVPR 2013",
-        source="https://www.microsoft.com/en-us/research/project/rgb-d-dataset-7-scenes/",
-        attributes=("real", "indoor", "handheld"),
-    )
 
 
 # Replica as NICE-SLAM renders it (Zhu et al., CVPR 2022; Straub et al., "The Replica dataset", 2019).
@@ -155,9 +156,26 @@ class ReplicaImporter:
         camera = camera_stream("cam0", timed(colour, frames_per_s), _intrinsics(parameters))
         units_per_m = options.depth_units_per_m or parameters.positive("scale")
         streams = (camera, depth_stream(camera.sensor, timed(depth, frames_per_s), units_per_m))
-        truth = _replica_truth(source / _TRAJECTORY, list(colour), frames_per_s)
+        frames, table = read_frame_poses(source / _TRAJECTORY, 16, "a 4x4 matrix by rows", list(colour))
+        poses = table.values.reshape(-1, 4, 4)
+        broken = [row for row, pose in enumerate(poses) if not is_pose(pose)]
+        if broken:
+            raise table.error(broken[0], "no rigid transform", "expected a 4x4 matrix by rows")
+        truth = truth_of_matrices(nominal_times_ns(frames, frames_per_s), poses, "rendering")
         notes = (nominal_note(frames_per_s), *matched_truth(truth, streams))
-        return ImportPlan(streams, truth, _replica_text(source), notes=notes)
+        return ImportPlan(
+            streams,
+            truth,
+            DatasetText(
+                title=f"Replica, {source.resolve().name}",
+                description="Rendered colour and depth images; the body is the camera.",
+                licence="Replica Research Terms",
+                citation="Straub et al.: The Replica dataset. 2019; Zhu et al.: NICE-SLAM. CVPR 2022",
+                source="https://github.com/cvg/nice-slam",
+                attributes=("synthetic", "indoor"),
+            ),
+            notes=notes,
+        )
 
 
 def _camera_file(source: Path) -> Path:
@@ -169,26 +187,6 @@ def _intrinsics(file: CalibrationFile) -> CameraIntrinsics:
     width, height = file.size("w", "h")
     focal = file.positive("fx"), file.positive("fy")
     return CameraIntrinsics(width, height, *focal, file.number("cx"), file.number("cy"), distortion=(0.0,) * 4)
-
-
-def _replica_truth(path: Path, numbers: list[int], frames_per_s: float) -> PlannedTruth:
-    frames, table = read_frame_poses(path, 16, "a 4x4 matrix by rows", numbers)
-    poses = table.values.reshape(-1, 4, 4)
-    broken = [row for row, pose in enumerate(poses) if not is_pose(pose)]
-    if broken:
-        raise table.error(broken[0], "no rigid transform", "expected a 4x4 matrix by rows")
-    return truth_of_matrices(nominal_times_ns(frames, frames_per_s), poses, "rendering")
-
-
-def _replica_text(source: Path) -> DatasetText:
-    return DatasetText(
-        title=f"Replica, {source.resolve().name}",
-        description="Rendered colour and depth images; the body is the camera.",
-        licence="Replica Research Terms",
-        citation="Straub et al.: The Replica dataset. 2019; Zhu et al.: NICE-SLAM. CVPR 2022",
-        source="https://github.com/cvg/nice-slam",
-        attributes=("synthetic", "indoor"),
-    )
 
 
 # TartanAir (Wang et al., "TartanAir: A dataset to push the limits of visual SLAM", IROS 2020).
@@ -236,9 +234,28 @@ class TartanAirImporter:
         depth = numbered(source / _TARTAN_DEPTH, "*.npy")
         if depth:
             streams.append(depth_stream(streams[0].sensor, timed(depth, frames_per_s), 1.0, read=_tartan_read_depth))
-        truth = _tartan_truth(source / _POSES, list(left), frames_per_s)
+        posed, table = read_frame_poses(source / _POSES, 7, "tx ty tz qx qy qz qw", list(left))
+        poses, times_s = table.values, nominal_times_ns(posed, frames_per_s) / 1e9
+        problem = find_problem(times_s, poses[:, :3], poses[:, 3:])
+        if problem is not None:
+            raise table.error(problem.index, problem.found, problem.remedy)
+        quats_xyzw = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+        truth = PlannedTruth(times_s, poses[:, :3], quats_xyzw, gravity_aligned=False, source="rendering")
         notes = (nominal_note(frames_per_s), *matched_truth(truth, streams))
-        return ImportPlan(tuple(streams), truth, _tartan_text(source), notes=notes)
+        return ImportPlan(
+            tuple(streams),
+            truth,
+            DatasetText(
+                title=f"TartanAir, {source.resolve().parent.name} {source.resolve().name}",
+                description="Rendered stereo and depth images; the body is the left camera, "
+                "x forward, y right, z down.",
+                licence="CC BY 4.0",
+                citation="Wang et al.: TartanAir: A dataset to push the limits of visual SLAM. IROS 2020",
+                source="https://theairlab.org/tartanair-dataset/",
+                attributes=("synthetic",),
+            ),
+            notes=notes,
+        )
 
 
 def _tartan_read_depth(path: Path, _encoding: str) -> Array:
@@ -253,24 +270,3 @@ def _tartan_read_depth(path: Path, _encoding: str) -> Array:
     if found.ndim != 2:
         raise InvalidInput(f"frame {path} has {found.ndim} dimensions", "a depth image has 2")
     return found
-
-
-def _tartan_truth(path: Path, numbers: list[int], frames_per_s: float) -> PlannedTruth:
-    frames, table = read_frame_poses(path, 7, "tx ty tz qx qy qz qw", numbers)
-    poses, times_s = table.values, nominal_times_ns(frames, frames_per_s) / 1e9
-    problem = find_problem(times_s, poses[:, :3], poses[:, 3:])
-    if problem is not None:
-        raise table.error(problem.index, problem.found, problem.remedy)
-    quats_xyzw = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
-    return PlannedTruth(times_s, poses[:, :3], quats_xyzw, gravity_aligned=False, source="rendering")
-
-
-def _tartan_text(source: Path) -> DatasetText:
-    return DatasetText(
-        title=f"TartanAir, {source.resolve().parent.name} {source.resolve().name}",
-        description="Rendered stereo and depth images; the body is the left camera, x forward, y right, z down.",
-        licence="CC BY 4.0",
-        citation="Wang et al.: TartanAir: A dataset to push the limits of visual SLAM. IROS 2020",
-        source="https://theairlab.org/tartanair-dataset/",
-        attributes=("synthetic",),
-    )

@@ -58,7 +58,17 @@ def frame_times(
         rate: The playback rate.
         every: Each frame should give a pose: those without one after the first pose were dropped. Otherwise none is.
     """
-    done = _first_arrivals(frames, poses)
+    # When the first pose of each frame arrived, by the number of the frame.
+    done: dict[int, float] = {}
+    order = np.argsort([frame.stamp_s for frame in frames], kind="stable")
+    stamps_s = np.array([frames[index].stamp_s for index in order])
+    for stamp_s, pose_s in poses if len(stamps_s) else ():
+        after = int(np.searchsorted(stamps_s, stamp_s))
+        near = min((max(after - 1, 0), min(after, len(stamps_s) - 1)), key=lambda index: abs(stamps_s[index] - stamp_s))
+        number = int(order[near])
+        if abs(stamps_s[near] - stamp_s) <= SAME_TIMESTAMP_S:
+            done[number] = min(pose_s, done.get(number, pose_s))
+
     first = min(done, default=len(frames))
     lines = []
     for number, frame in enumerate(frames):
@@ -68,20 +78,6 @@ def frame_times(
         silent = done_s is None and not (every and number > first)
         lines.append(FrameTimes(number, frame.stamp_s, received_s, done_s, silent))
     return lines
-
-
-def _first_arrivals(frames: Sequence[BagFrame], poses: Iterable[tuple[float, float]]) -> dict[int, float]:
-    """{number of the frame: when its first pose arrived}."""
-    order = np.argsort([frame.stamp_s for frame in frames], kind="stable")
-    stamps_s = np.array([frames[index].stamp_s for index in order])
-    found: dict[int, float] = {}
-    for stamp_s, arrived_s in poses if len(stamps_s) else ():
-        after = int(np.searchsorted(stamps_s, stamp_s))
-        near = min((max(after - 1, 0), min(after, len(stamps_s) - 1)), key=lambda index: abs(stamps_s[index] - stamp_s))
-        number = int(order[near])
-        if abs(stamps_s[near] - stamp_s) <= SAME_TIMESTAMP_S:
-            found[number] = min(arrived_s, found.get(number, arrived_s))
-    return found
 
 
 def queue_drops(statistics: Iterable[Any]) -> list[dict[str, Any]]:
