@@ -81,7 +81,11 @@ def only_analysis(text: str, source: str) -> str:
     with its ``group_name``. Raises InvalidInput if there are two analyses, with the line of the second.
     """
     lines = text.split("\n")
-    found = [part for whole in parts_of(lines) for part in _split_at_names(lines, whole)]
+    found: list[Part] = []
+    for first, last in parts_of(lines):
+        # A part is cut before each ``group_name`` after the first one.
+        named = [number for number in range(first, last) if lines[number].startswith("group_name:")]
+        found += pairwise([first, *named[1:], last])
     holding = [part for part in found if any(line.startswith(f"{MARK}:") for line in lines[slice(*part)])]
     if len(holding) > 1:
         raise InvalidInput(
@@ -93,12 +97,6 @@ def only_analysis(text: str, source: str) -> str:
     while not _TOP_KEY.match(lines[first]):
         first += 1
     return only(lines, (first, last))
-
-
-def _split_at_names(lines: Sequence[str], part: Part) -> Iterator[Part]:
-    """A part, cut before each ``group_name`` after the first one."""
-    named = [number for number in range(*part) if lines[number].startswith("group_name:")]
-    yield from pairwise([part[0], *named[1:], part[1]])
 
 
 IDS = "ids"

@@ -410,7 +410,15 @@ def _draw(figure: SubFigure, chart: Chart, sheet: _Sheet) -> None:
         figure.suptitle(plain(chart.title), fontsize=10)
     for mark in chart.marks:
         draw_mark(axes, mark, chart)
-    _dress(axes, chart, sheet)
+    if chart.bare:
+        axes.set_axis_off()
+        axes.margins(x=chart.bare_margin(sheet.letters(140)), y=0.12)  # labels beside the lines
+    else:
+        for name, axis in (("x", chart.x), ("y", chart.y), ("z", chart.z)):
+            if axis is not None:
+                _dress_axis(axes, name, axis, sheet)
+        if chart.equal_aspect:
+            axes.set_aspect("equal", **({} if chart.z is not None else {"adjustable": "datalim"}))
     if band is not None:
         draw_failed(band, chart)
     handles, labels = axes.get_legend_handles_labels()
@@ -418,19 +426,6 @@ def _draw(figure: SubFigure, chart: Chart, sheet: _Sheet) -> None:
         columns = max(1, min(6, int(sheet.letters(100 if sheet.worded else 130) // (max(map(len, labels)) + 5))))
         tight = {} if sheet.worded else {"columnspacing": 1.0, "handlelength": 1.4, "labelspacing": 0.3}
         figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=7, frameon=False, **tight)
-
-
-def _dress(axes: Any, chart: Chart, sheet: _Sheet) -> None:
-    if chart.bare:
-        axes.set_axis_off()
-        axes.margins(x=chart.bare_margin(sheet.letters(140)), y=0.12)  # labels beside the lines
-        return
-    _dress_axis(axes, "x", chart.x, sheet)
-    _dress_axis(axes, "y", chart.y, sheet)
-    if chart.z is not None:
-        _dress_axis(axes, "z", chart.z, sheet)
-    if chart.equal_aspect:
-        axes.set_aspect("equal", **({} if chart.z is not None else {"adjustable": "datalim"}))
 
 
 def _dress_axis(axes: Any, name: str, axis: Axis, sheet: _Sheet) -> None:

@@ -213,15 +213,26 @@ class Parameter:
         return InvalidInput(f"parameter {self.key}={found} is not allowed", f"expected {self.expectation}")
 
     def _typed(self, raw: object) -> Value:
-        parsers: dict[ParameterType, Callable[[object], Value]] = {
-            ParameterType.INT: self._as_int,
-            ParameterType.FLOAT: self._as_float,
-            ParameterType.BOOL: self._as_bool,
-            ParameterType.STRING: self._as_string,
-            ParameterType.ENUM: self._as_choice,
-            ParameterType.MATRIX: self._as_matrix,
-        }
-        return parsers[self.type](raw)
+        if self.type is ParameterType.INT:
+            return self._as_int(raw)
+        if self.type is ParameterType.FLOAT:
+            return self._as_float(raw)
+        if self.type is ParameterType.MATRIX:
+            parts = raw if isinstance(raw, list | tuple) else str(raw).strip().strip("[]").split(",")
+            return tuple(self._as_float(part) for part in parts)
+        text = str(raw)
+        if self.type is ParameterType.BOOL:
+            word = text.strip().lower()
+            if word not in _TRUE and word not in _FALSE:
+                raise self._refuse(raw)
+            return word in _TRUE
+        if self.type is ParameterType.ENUM:
+            fits = text in self.choices
+        else:
+            fits = len(text) <= _MAX_TEXT and all(ord(character) >= 32 for character in text)
+        if not fits:
+            raise self._refuse(raw)
+        return text
 
     def _as_int(self, raw: object) -> int:
         if isinstance(raw, float) and raw.is_integer():
@@ -252,29 +263,6 @@ class Parameter:
             return kind(raw)
         except (ValueError, OverflowError):
             raise self._refuse(raw) from None
-
-    def _as_bool(self, raw: object) -> bool:
-        text = str(raw).strip().lower()
-        if text in _TRUE:
-            return True
-        if text in _FALSE:
-            return False
-        raise self._refuse(raw)
-
-    def _as_string(self, raw: object) -> str:
-        text = str(raw)
-        if any(ord(character) < 32 for character in text) or len(text) > _MAX_TEXT:
-            raise self._refuse(raw)
-        return text
-
-    def _as_choice(self, raw: object) -> str:
-        if str(raw) not in self.choices:
-            raise self._refuse(raw)
-        return str(raw)
-
-    def _as_matrix(self, raw: object) -> tuple[float, ...]:
-        parts = raw if isinstance(raw, list | tuple) else str(raw).strip().strip("[]").split(",")
-        return tuple(self._as_float(part) for part in parts)
 
 
 def find_parameter(parameters: Sequence[Parameter], name: str) -> Parameter | None:

@@ -20,7 +20,7 @@ from slamhive.base.errors import InvalidInput, NotFound
 from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.sensors import Matrix4
 from slamhive.domain.verdict import ERROR, RELATION_ERROR, Hint
-from slamhive.evaluation.evaluators.base import RELATIONS, Evaluator, MetricValues, Paired, absent
+from slamhive.evaluation.evaluators.base import RELATIONS, MetricValues, Paired, absent
 from slamhive.evaluation.evaluators.builtin import EVALUATORS
 from slamhive.evaluation.evaluators.map_quality import MapQuality, map_metrics
 from slamhive.evaluation.evaluators.relations import of_body, read_relations, relation_errors
@@ -148,7 +148,13 @@ def all_metrics(paired: Paired) -> MetricValues:
     missing: dict[str, str] = {}
     archives: dict[str, Result] = {}
     for _, evaluator in EVALUATORS:
-        found = _finite(_metrics_of(evaluator, paired))
+        # If one evaluator fails, its metrics are missing for that reason, and the others go on.
+        try:
+            found = _finite(evaluator.evaluate(paired))
+        except InvalidInput as error:
+            found = absent(evaluator.keys, str(error))
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            found = absent(evaluator.keys, f"it cannot be computed: {error}")
         values |= found.values
         missing |= found.missing
         archives |= found.archives
@@ -160,16 +166,6 @@ def _finite(found: MetricValues) -> MetricValues:
     values = {key: float(value) for key, value in found.values.items() if math.isfinite(value)}
     missing = {key: TOO_FAR_OFF for key in found.values if key not in values} | dict(found.missing)
     return MetricValues(values, missing, found.archives)
-
-
-def _metrics_of(evaluator: Evaluator, paired: Paired) -> MetricValues:
-    """The metrics of one evaluator. If it fails, they are missing for that reason, and the others go on."""
-    try:
-        return evaluator.evaluate(paired)
-    except InvalidInput as error:
-        return absent(evaluator.keys, str(error))
-    except (ArithmeticError, np.linalg.LinAlgError) as error:
-        return absent(evaluator.keys, f"it cannot be computed: {error}")
 
 
 def _hints(paired: Paired, values: Mapping[str, float]) -> tuple[Hint, ...]:

@@ -175,7 +175,12 @@ def find_order(
     """
     by_truth = _order_by_truth(spreads_deg)
     if stated is None and by_truth.value is None:
-        return _order_by_start(quats) or by_truth
+        # Most estimates begin without rotation, which shows the place of w.
+        first = np.abs(quats[0])
+        for place, order in ((3, QuaternionOrder.XYZW), (0, QuaternionOrder.WXYZ)):
+            if first[place] >= _IDENTITY:
+                return Conclusion(order, f"the first pose is not rotated, read as {order}")
+        return by_truth
     return _with_stated(stated, by_truth)
 
 
@@ -194,12 +199,3 @@ def _order_by_truth(spreads_deg: Mapping[QuaternionOrder, float]) -> Conclusion[
 
 
 _IDENTITY = 1 - 1e-6
-
-
-def _order_by_start(quats: FloatArray) -> Conclusion[QuaternionOrder] | None:
-    """Most estimates begin without rotation, which shows the place of w."""
-    first = np.abs(quats[0])
-    for place, order in ((3, QuaternionOrder.XYZW), (0, QuaternionOrder.WXYZ)):
-        if first[place] >= _IDENTITY:
-            return Conclusion(order, f"the first pose is not rotated, read as {order}")
-    return None

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -355,7 +354,16 @@ def _read_nuscenes(data: bytes, name: str, _times: Path | None) -> RawPoses:
         records = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise InvalidInput(f"{name} is no JSON: {str(error)[:80]}", "give the ego_pose.json of nuScenes") from None
-    rows = list(_ego_poses(records, name))
+    rows: list[tuple[float, ...]] = []
+    for number, record in enumerate(records if isinstance(records, list) else [records], start=1):
+        try:
+            numbers = [record["timestamp"], *record["translation"], *record["rotation"]]
+            row = tuple(float(value) for value in numbers)
+        except (TypeError, KeyError, ValueError, OverflowError):
+            row = ()
+        if len(row) != 8:
+            raise InvalidInput(f"{name}: record {number} lacks timestamp, translation or rotation", "copy it again")
+        rows.append(row)
     if not rows:
         raise InvalidInput(f"{name} holds no pose", "give the ego_pose.json of nuScenes")
     values = np.array(sorted(rows), dtype=np.float64)
@@ -367,18 +375,6 @@ def _read_nuscenes(data: bytes, name: str, _times: Path | None) -> RawPoses:
     quats_xyzw = np.roll(values[:, 4:8], -1, axis=1)
     stated = Convention(TimeUnit.US, QuaternionOrder.XYZW)
     return RawPoses(table, values[:, 0], values[:, 1:4], quats_xyzw, stated=stated)
-
-
-def _ego_poses(records: Any, name: str) -> Iterator[tuple[float, ...]]:
-    for number, record in enumerate(records if isinstance(records, list) else [records], start=1):
-        try:
-            numbers = [record["timestamp"], *record["translation"], *record["rotation"]]
-            row = tuple(float(value) for value in numbers)
-        except (TypeError, KeyError, ValueError, OverflowError):
-            row = ()
-        if len(row) != 8:
-            raise InvalidInput(f"{name}: record {number} lacks timestamp, translation or rotation", "copy it again")
-        yield row
 
 
 def _is_replica(data: bytes) -> bool:

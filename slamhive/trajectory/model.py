@@ -100,74 +100,48 @@ def find_problem(
 
     ``duplicates``: several poses may have the same timestamp.
     """
+    found: list[PoseProblem] = []
     rows = np.column_stack((stamps_s, positions_m, quats_xyzw))
-    candidates = [
-        _not_finite(rows),
-        _out_of_order(stamps_s, duplicates=duplicates),
-        _too_far(positions_m),
-        _not_unit(quats_xyzw),
-    ]
-    return min((found for found in candidates if found is not None), key=lambda found: found.index, default=None)
+    index = _first(~np.isfinite(rows).all(axis=1))
+    if index is not None:
+        names = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+        column = int((~np.isfinite(rows[index])).argmax())
+        problem = f"{names[column]} is {rows[index, column]}"
+        found.append(PoseProblem(index, problem, "leave out poses that are not known"))
+
+    steps_s = np.diff(stamps_s)
+    before = _first(steps_s < 0 if duplicates else steps_s <= 0)
+    if before is not None:
+        earlier, later = stamps_s[before], stamps_s[before + 1]
+        if earlier == later:
+            remedy = "write one pose for each timestamp, or choose with --duplicates first, mean or keep"
+            found.append(PoseProblem(before + 1, f"timestamp {later:.9f} occurs twice", remedy))
+        else:
+            problem = f"timestamp {later:.9f} comes after {earlier:.9f}"
+            found.append(PoseProblem(before + 1, problem, "sort the poses by timestamp"))
+
+    # Values that are not finite, or overflow when squared, are no reason to warn: the first check names them.
+    with np.errstate(over="ignore", invalid="ignore"):
+        index = _first((np.abs(positions_m) > MAX_POSITION_M).any(axis=1))
+        norms = np.linalg.norm(quats_xyzw, axis=1)
+    if index is not None:
+        problem = f"position {float(np.abs(positions_m[index]).max()):g} m is beyond {MAX_POSITION_M:g} m"
+        found.append(PoseProblem(index, problem, "the estimate diverged; leave such poses out"))
+
+    index = _first(np.abs(norms - 1.0) > QUATERNION_TOLERANCE)
+    if index is not None and norms[index] == 0:
+        remedy = "leave out poses without orientation; if none has one, write timestamp x y z alone"
+        found.append(PoseProblem(index, "quaternion is all zero", remedy))
+    elif index is not None:
+        problem = f"quaternion has norm {norms[index]:.6g}, not 1"
+        found.append(PoseProblem(index, problem, "write unit quaternions in the order qx qy qz qw"))
+    # Of several problems of one pose the first in this order is told.
+    return min(found, key=lambda problem: problem.index, default=None)
 
 
 def _first(bad: npt.ArrayLike) -> int | None:
     indices = np.flatnonzero(bad)
     return int(indices[0]) if indices.size else None
-
-
-def _not_finite(rows: FloatArray) -> PoseProblem | None:
-    index = _first(~np.isfinite(rows).all(axis=1))
-    if index is None:
-        return None
-    names = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
-    column = int((~np.isfinite(rows[index])).argmax())
-    return PoseProblem(index, f"{names[column]} is {rows[index, column]}", "leave out poses that are not known")
-
-
-def _out_of_order(stamps_s: FloatArray, *, duplicates: bool) -> PoseProblem | None:
-    steps_s = np.diff(stamps_s)
-    before = _first(steps_s < 0 if duplicates else steps_s <= 0)
-    if before is None:
-        return None
-    earlier, later = stamps_s[before], stamps_s[before + 1]
-    if earlier == later:
-        return PoseProblem(
-            before + 1,
-            f"timestamp {later:.9f} occurs twice",
-            "write one pose for each timestamp, or choose with --duplicates first, mean or keep",
-        )
-    return PoseProblem(
-        before + 1,
-        f"timestamp {later:.9f} comes after {earlier:.9f}",
-        "sort the poses by timestamp",
-    )
-
-
-def _too_far(positions_m: FloatArray) -> PoseProblem | None:
-    with np.errstate(invalid="ignore"):
-        index = _first((np.abs(positions_m) > MAX_POSITION_M).any(axis=1))
-    if index is None:
-        return None
-    value = float(np.abs(positions_m[index]).max())
-    return PoseProblem(
-        index, f"position {value:g} m is beyond {MAX_POSITION_M:g} m", "the estimate diverged; leave such poses out"
-    )
-
-
-def _not_unit(quats_xyzw: FloatArray) -> PoseProblem | None:
-    with np.errstate(over="ignore", invalid="ignore"):
-        norms = np.linalg.norm(quats_xyzw, axis=1)
-    index = _first(np.abs(norms - 1.0) > QUATERNION_TOLERANCE)
-    if index is None:
-        return None
-    if norms[index] == 0:
-        remedy = "leave out poses without orientation; if none has one, write timestamp x y z alone"
-        return PoseProblem(index, "quaternion is all zero", remedy)
-    return PoseProblem(
-        index,
-        f"quaternion has norm {norms[index]:.6g}, not 1",
-        "write unit quaternions in the order qx qy qz qw",
-    )
 
 
 # Poses of one file that have the same timestamp: refused, merged, or kept.

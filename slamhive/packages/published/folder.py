@@ -66,8 +66,10 @@ def read_folder(path: Path) -> ForeignFolder:
             f"{path} holds no {SCRIPTS}/{MAPPING} that can be read",
             "name the folder that holds the Dockerfile and slamhive/",
         )
+    names = ("LICENSE", "LICENCE", "LICENSE.txt", "LICENSE.md", "COPYING")
+    licence = next((text for name in names if (text := _plain_text(path / name)) is not None), None)
     notes = (f"not copied, since they are no plain files: {_few(left_out)}",) if left_out else ()
-    return ForeignFolder(path, scripts, _plain_text(path / DOCKERFILE), _licence_text(path), notes)
+    return ForeignFolder(path, scripts, _plain_text(path / DOCKERFILE), licence, notes)
 
 
 def looks_foreign(path: Path) -> bool:
@@ -162,14 +164,6 @@ def _decoded(data: bytes) -> str | None:
     if len(data) > MOST_TEXT_BYTES or b"\0" in data:
         return None
     return data.decode("utf-8-sig", errors="replace")
-
-
-def _licence_text(path: Path) -> str | None:
-    for name in ("LICENSE", "LICENCE", "LICENSE.txt", "LICENSE.md", "COPYING"):
-        text = _plain_text(path / name)
-        if text is not None:
-            return text
-    return None
 
 
 def _few(places: list[str]) -> str:

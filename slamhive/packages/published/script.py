@@ -62,7 +62,10 @@ def read_script(text: str) -> PackageScript:
     reads: dict[str, None] = {}
     for node in ast.walk(tree):
         names.update(dict.fromkeys(_keys_of(node)))
-        imports.update(dict.fromkeys(_imports_of(node)))
+        if isinstance(node, ast.Import):
+            imports.update(dict.fromkeys(alias.name.partition(".")[0] for alias in node.names))
+        if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            imports[node.module.partition(".")[0]] = None
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             texts[node.value] = None
         if isinstance(node, ast.Call):
@@ -96,13 +99,6 @@ def _is_environment(node: ast.expr) -> bool:
 def _text_of(node: ast.expr) -> Iterator[str]:
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         yield node.value
-
-
-def _imports_of(node: ast.AST) -> Iterator[str]:
-    if isinstance(node, ast.Import):
-        yield from (alias.name.partition(".")[0] for alias in node.names)
-    elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-        yield node.module.partition(".")[0]
 
 
 def _conversion(node: ast.Call) -> dict[str, str]:

@@ -346,21 +346,18 @@ def read_basalt(path: Path, content: Mapping[str, Any]) -> KnownCalibration:
         name, frame = f"cam{number}", f"{path}:cam{number}"
         intrinsics = CameraIntrinsics(width, height, fx, fy, cx, cy, model, coefficients)
         known.sensors.append(KnownSensor(name, SensorKind.CAMERA, "", frame, intrinsics, more=more))
-        known.transforms.append(("imu0", frame, _basalt_pose(pose)))
+        quat_xyzw = np.array([pose.number(f"q{axis}") for axis in "xyzw"])
+        norm = float(np.linalg.norm(quat_xyzw))
+        if not 0.99 < norm < 1.01:
+            raise InvalidInput(f"{pose.name}: the quaternion has norm {norm:g}", "copy the file again")
+        T_imu_cam = pose_matrix([pose.number(f"p{axis}") for axis in "xyz"], quat_xyzw)
+        known.transforms.append(("imu0", frame, T_imu_cam))
     noise = {key: float(np.mean(whole.numbers(given, 1, 3))) for key, given in _BASALT_NOISE.items()}
     known.sensors.append(KnownSensor("imu0", SensorKind.IMU, "", "imu0", noise=ImuNoise(**noise)))
     biases = [key for key in ("calib_accel_bias", "calib_gyro_bias") if any(whole.numbers(key))]
     if biases:
         known.notes.append(f"{' and '.join(biases)} of {path.name} {'is' if len(biases) == 1 else 'are'} not read")
     return known
-
-
-def _basalt_pose(part: CalibrationFile) -> Array:
-    quat_xyzw = np.array([part.number(f"q{axis}") for axis in "xyzw"])
-    norm = float(np.linalg.norm(quat_xyzw))
-    if not 0.99 < norm < 1.01:
-        raise InvalidInput(f"{part.name}: the quaternion has norm {norm:g}", "copy the file again")
-    return pose_matrix([part.number(f"p{axis}") for axis in "xyz"], quat_xyzw)
 
 
 # Calibration files that users give: those of Kalibr and Basalt, and ``dataset.yaml``.

@@ -104,19 +104,13 @@ def scan_ranges(path: Path) -> Iterator[Array]:
 
 def read_scan(line: TextLine) -> Scan:
     """The scan of a laser message without its ranges; raises InvalidInput naming the line."""
-    return _old_scan(line) if line.words[0] == "FLASER" else _new_scan(line)
-
-
-def _old_scan(line: TextLine) -> Scan:
-    """FLASER: number of ranges, ranges, pose of the laser, odometry; ``readlog.c`` guesses the geometry."""
-    count = line.count(1, _MOST_RANGES)
-    poses = line.numbers(2 + count, 6, "the poses")
-    layout = LaserLayout(-math.pi / 2, _guessed_increment_rad(count), 0.0, _OLD_MAXIMUM_RANGE_M)
-    return Scan(line.time_s(8 + count), 2, count, layout, poses[:3], poses[3:])
-
-
-def _new_scan(line: TextLine) -> Scan:
-    """ROBOTLASER1: type, start, field of view, resolution, range, accuracy, mode, ranges, remissions, poses, ..."""
+    if line.words[0] == "FLASER":
+        # Number of ranges, ranges, pose of the laser, odometry; ``readlog.c`` guesses the geometry.
+        count = line.count(1, _MOST_RANGES)
+        poses = line.numbers(2 + count, 6, "the poses")
+        layout = LaserLayout(-math.pi / 2, _guessed_increment_rad(count), 0.0, _OLD_MAXIMUM_RANGE_M)
+        return Scan(line.time_s(8 + count), 2, count, layout, poses[:3], poses[3:])
+    # ROBOTLASER1: type, start, field of view, resolution, range, accuracy, mode, ranges, remissions, poses, ...
     start_rad, _, increment_rad, maximum_m = line.numbers(2, 4, "the geometry")
     count = line.count(8, _MOST_RANGES)
     remissions = line.count(9 + count, _MOST_RANGES)

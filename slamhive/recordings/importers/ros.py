@@ -136,7 +136,13 @@ def _late_pictures(bag: SourceBag, matching: Matching) -> Iterator[str]:
 
 
 def _notes(bag: SourceBag, truth: FoundTruth | None, recorded_ns: tuple[int, int]) -> list[str]:
-    notes = list(_damage(bag))
+    # Notes on a recording that is damaged or was not finished; the first one says how much of it is lost.
+    notes: list[str] = []
+    reader = bag.reader
+    if isinstance(reader, LenientReader):
+        notes += reader.notes
+        if notes and reader.lost:
+            notes[0] = Loss(reader.lost, reader.message_count + reader.lost, notes[0])
     if bag.refused:
         notes.append(
             f"{bag.path.name} is written again as a ROS 1 bag with the topics of its sensors, since the player of runs "
@@ -151,16 +157,6 @@ def _notes(bag: SourceBag, truth: FoundTruth | None, recorded_ns: tuple[int, int
     if abs(apart_s) > 60:
         notes.append(f"headers are {apart_s:.0f} s from the clock of the recording; the time of headers counts")
     return notes
-
-
-def _damage(bag: SourceBag) -> Iterator[str]:
-    """Notes on the messages that are lost of a recording that is damaged or was not finished."""
-    reader = bag.reader
-    if not isinstance(reader, LenientReader):
-        return
-    for number, note in enumerate(reader.notes):
-        read = reader.message_count
-        yield Loss(reader.lost, read + reader.lost, note) if reader.lost and not number else note
 
 
 def check_messages(path: Path, progress: Progress, *, topics: Sequence[str], total: int) -> None:

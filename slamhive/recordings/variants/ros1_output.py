@@ -65,20 +65,19 @@ class NewChunks:
 def new_chunk(compression: str, parts: list[Buffer | range], size_bytes: int, entries: Array) -> NewChunks:
     """One chunk of records; ``size_bytes`` before compression, ``entries`` of :data:`ENTRY` say where messages are."""
     if compression != NO_COMPRESSION:
-        parts = [_compress(b"".join(part for part in parts if not isinstance(part, range)), compression)]
+        data = b"".join(part for part in parts if not isinstance(part, range))
+        # The settings of ``rosbag``: its LZ4 only reads frames of independent blocks with a checksum and no size.
+        packed: bytes = (
+            bz2.compress(data, 9)
+            if compression == "bz2"
+            else lz4.frame.compress(
+                data, block_size=lz4.frame.BLOCKSIZE_MAX1MB, block_linked=False, content_checksum=True, store_size=False
+            )
+        )
+        parts = [packed]
     head = chunk_header(compression, size_bytes, sum(len(part) for part in parts))
     summary = summarise(0, entries)
     return NewChunks([head, *parts, *_index_records(entries, summary.counts)], [summary])
-
-
-def _compress(data: bytes, compression: str) -> bytes:
-    """With the settings of ``rosbag``; its LZ4 reads frames of independent blocks with a checksum and no size only."""
-    if compression == "bz2":
-        return bz2.compress(data, 9)
-    packed: bytes = lz4.frame.compress(
-        data, block_size=lz4.frame.BLOCKSIZE_MAX1MB, block_linked=False, content_checksum=True, store_size=False
-    )
-    return packed
 
 
 def summarise(position: int, entries: Array) -> ChunkSummary:

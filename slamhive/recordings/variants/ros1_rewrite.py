@@ -283,13 +283,13 @@ class Rewriter:
                 continue
             if self._types[connection] not in EQUAL_SIZES:
                 return None
-            sizes[own] = sum(len(part) for part in self._first_edited(int(kept[0])))
+            # Records of one size: the first one that is kept tells it.
+            row = int(kept[0])
+            chunk = next(chunk for chunk in self._index.chunks if row in chunk.rows)
+            starts, ends = self._extents(RewritePiece(chunk, range(row, row + 1), ()))
+            record = _Records(self._file, chunk).read(int(starts[0]), int(ends[0]))
+            sizes[own] = sum(len(part) for part in self._changed(row, record))
         return sizes
-
-    def _first_edited(self, row: int) -> list[Buffer | range]:
-        chunk = next(chunk for chunk in self._index.chunks if row in chunk.rows)
-        starts, ends = self._extents(RewritePiece(chunk, range(row, row + 1), ()))
-        return self._changed(row, _Records(self._file, chunk).read(int(starts[0]), int(ends[0])))
 
     def lay_out(self, piece: Piece) -> NewChunks | None:
         """The result of a piece that needs no message in memory; None where :meth:`rewrite` has work to do."""
