@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 from markdown_it import MarkdownIt
 
-from slamhive.analysis.report import Cell, ResultTable
+from slamhive.analysis.report import ResultTable
 
 _WITH_IMAGES = MarkdownIt("commonmark", {"html": False, "linkify": False}).enable("table")
 _MARKDOWN = MarkdownIt("commonmark", {"html": False, "linkify": False}).enable("table").disable("image")
@@ -49,15 +49,14 @@ _RANKS: Mapping[int | None, str] = {1: "**%s**", 2: "<ins>%s</ins>"}
 def table_markdown(table: ResultTable) -> str:
     """A table of GitHub's Markdown with escaped text, numbers with four significant digits, and the caption below."""
     rules = ["---:" if number else "---" for number in numeric_columns(table)]
-    rows = [
-        [escaped(column.heading) for column in table.columns],
-        rules,
-        *(
-            [ranked(escaped(_cell_text(cell)), table.rank(place, at), _RANKS) for at, cell in enumerate(row)]
-            for place, row in enumerate(table.rows)
-        ),
-    ]
-    lines = [f"| {' | '.join(row)} |" for row in rows]
+    rows = [[escaped(column.heading) for column in table.columns], rules]
+    for place, row in enumerate(table.rows):
+        cells = []
+        for at, cell in enumerate(row):
+            text = "–" if cell is None else f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+            cells.append(ranked(escaped(text), table.rank(place, at), _RANKS))
+        rows.append(cells)
+    lines = [f"| {' | '.join(cells)} |" for cells in rows]
     return "\n".join([*lines, *(["", escaped(table.caption)] if table.caption else []), ""])
 
 
@@ -69,10 +68,6 @@ def numeric_columns(table: ResultTable) -> list[bool]:
 def ranked(text: str, rank: int | None, styles: Mapping[int | None, str]) -> str:
     """``text`` as values of this rank are printed; ``styles`` contains ``%s`` for the text."""
     return styles[rank] % text if rank in styles else text
-
-
-def _cell_text(cell: Cell) -> str:
-    return "–" if cell is None else f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
 def escaped(text: str) -> str:

@@ -228,7 +228,7 @@ class VerdictRepository(Repository):
                 self._connection.execute(locked).all()
                 groups = self._read(protocol, chosen)
                 for runs in groups.values():
-                    self._write(protocol, runs, _derived(runs))
+                    self._write(protocol, runs)
                 without = [run for runs in groups.values() for run, found in runs.items() if not found.succeeded]
                 MetricRepository(self._connection).follow_protocols(without)
 
@@ -237,9 +237,20 @@ class VerdictRepository(Repository):
         evaluated = select(_EVALUATIONS.c.run_id).where(_EVALUATIONS.c.open.is_(None)).distinct()
         self.renew(self._connection.execute(evaluated).scalars().all())
 
-    def _write(self, protocol_id: int, runs: Mapping[int, _Judged], derived: Mapping[int, Mapping[str, float]]) -> None:
-        """Store what differs from what is stored."""
-        known = [*derived.values(), *(found.stored for found in runs.values())]
+    def _write(self, protocol_id: int, runs: Mapping[int, _Judged]) -> None:
+        """Derive the metrics of the runs of one configuration, and store what differs from what is stored."""
+        judged = {run: entry.metrics for run, entry in runs.items() if entry.succeeded}
+        errors_m = {run: metrics[ERROR] for run, metrics in judged.items() if ERROR in metrics}
+        compared = {run: error for run, error in errors_m.items() if tracked_enough(judged[run])}
+        repeats = compare_repeats(errors_m, compared)
+        derived: dict[int, dict[str, float]] = {}
+        for run, entry in runs.items():
+            kind = VerdictKind.NOT_EVALUABLE
+            if entry.succeeded:
+                kind = judge({**judged[run], **repeats.get(run, {})}).kind
+            derived[run] = {VERDICT: float(CODES[kind]), **repeats.get(run, {})}
+
+        known: list[Mapping[str, float]] = [*derived.values(), *(found.stored for found in runs.values())]
         metric_ids = MetricRepository(self._connection).ids(
             key for key in _DERIVED if any(key in entry for entry in known)
         )
@@ -298,18 +309,3 @@ class VerdictRepository(Repository):
         )
         for configuration, run_id, metric_id, value in self._connection.execute(query):
             yield configuration, run_id, names[metric_id], value
-
-
-def _derived(runs: Mapping[int, _Judged]) -> dict[int, dict[str, float]]:
-    """{run: verdict and comparison with its repeats} of the runs of one configuration under one protocol."""
-    judged = {run: entry.metrics for run, entry in runs.items() if entry.succeeded}
-    errors_m = {run: metrics[ERROR] for run, metrics in judged.items() if ERROR in metrics}
-    compared = {run: error for run, error in errors_m.items() if tracked_enough(judged[run])}
-    repeats = compare_repeats(errors_m, compared)
-    found: dict[int, dict[str, float]] = {}
-    for run, entry in runs.items():
-        kind = VerdictKind.NOT_EVALUABLE
-        if entry.succeeded:
-            kind = judge({**judged[run], **repeats.get(run, {})}).kind
-        found[run] = {VERDICT: float(CODES[kind]), **repeats.get(run, {})}
-    return found

@@ -383,11 +383,16 @@ def _check_folders(archive: ArchiveReader, contents: Contents, experiments: set[
     for name in archive.names:
         kind, *rest = PurePosixPath(name).parts
         file = "/".join(rest[1:])
-        known = (
-            (kind == "runs" and int(rest[0]) in numbers and travels(file))
-            or (kind == "datasets" and rest[0] in datasets and _of_dataset(file, datasets[rest[0]]))
-            or (kind == "experiments" and rest[0] in experiments and file in (SOURCE, RECORD))
+        dataset = datasets.get(rest[0]) if kind == "datasets" and rest else None
+        known = (kind == "runs" and int(rest[0]) in numbers and travels(file)) or (
+            kind == "experiments" and rest[0] in experiments and file in (SOURCE, RECORD)
         )
+        # Archives hold the files of a dataset that its description names, and its recording. What a check has found,
+        # and the script that plays the recording in a run, are always those of the installation.
+        if dataset is not None and file not in (REPORT_FILE, TRIAL_FILE, PLAY_SCRIPT):
+            truth = dataset.groundtruth
+            named = {DATASET_FILE, dataset.relations, *(() if truth is None else truth.files)}
+            known = file in named or (bool(dataset.bag) and dataset.bag in (file, file.rpartition("/")[0]))
         if not rest or kind in ("rows", layout.VERSIONS) or known:
             continue
         if (kind == "runs" and int(rest[0]) in numbers) or (
@@ -396,15 +401,3 @@ def _check_folders(archive: ArchiveReader, contents: Contents, experiments: set[
             contents.left_out.append(name)
         else:
             raise InvalidInput(f"{layout.shown(name)} belongs to nothing in the archive", "it is not imported")
-
-
-def _of_dataset(file: str, dataset: Dataset | None) -> bool:
-    """Return whether archives hold this file of a dataset: those that its description names, and its recording.
-
-    What a check has found, and the script that plays the recording in a run, are always those of the installation.
-    """
-    if dataset is None or file in (REPORT_FILE, TRIAL_FILE, PLAY_SCRIPT):
-        return False
-    truth = dataset.groundtruth
-    named = {DATASET_FILE, dataset.relations, *(() if truth is None else truth.files)}
-    return file in named or (bool(dataset.bag) and dataset.bag in (file, file.rpartition("/")[0]))

@@ -422,9 +422,19 @@ class BisectSearch:
                 return self._answer(BisectOutcome.FOUND if len(state.left) == 1 else BisectOutcome.SEVERAL, state.left)
         else:
             state = None
-        if self._spent():
-            left = tuple(self._history.parents) if state is None else state.left
-            return self._answer(BisectOutcome.UNDECIDED, left)
+        budget = self._request.budget
+        if budget is not None and self._need is not None:
+            # Undecided if the budget has no room for the runs that are needed.
+            commit, wanted = self._need
+            lacking = sum(
+                max(0, wanted - len(runs.ended) - len(runs.open))
+                for trial in (self._trial(self._good), self._trial(commit))
+                for runs in trial.runs
+            )
+            elapsed_s = sum(trial.spent_s for trial in self._trials.values())
+            if lacking > budget.runs_left(self._asked, elapsed_s):
+                left = tuple(self._history.parents) if state is None else state.left
+                return self._answer(BisectOutcome.UNDECIDED, left)
         return None
 
     def _trial(self, commit: str) -> Trial:
@@ -479,20 +489,6 @@ class BisectSearch:
         wanted = FIRST_RUNS if first else min(request.most, next_runs(done, len(good.runs), error))
         self._need = (commit, wanted)
         return None
-
-    def _spent(self) -> bool:
-        """True if the budget has no room for the runs that are needed."""
-        budget = self._request.budget
-        if budget is None or self._need is None:
-            return False
-        commit, wanted = self._need
-        lacking = sum(
-            max(0, wanted - len(runs.ended) - len(runs.open))
-            for trial in (self._trial(self._good), self._trial(commit))
-            for runs in trial.runs
-        )
-        elapsed_s = sum(trial.spent_s for trial in self._trials.values())
-        return lacking > budget.runs_left(self._asked, elapsed_s)
 
     @property
     def _asked(self) -> int:
