@@ -29,7 +29,12 @@ def main() -> int:
     """Compute the analysis; returns 0 if there is a report, 1 if there is an error."""
     asked = json.loads(sys.stdin.readline())
     limit_process(asked["memory_bytes"], asked["time_limit_s"])
-    threading.Thread(target=_end_with_input, daemon=True).start()
+
+    def end_with_input() -> None:
+        sys.stdin.read()
+        os._exit(2)
+
+    threading.Thread(target=end_with_input, daemon=True).start()
     too_large = f"the analysis needs more than {asked['memory_bytes'] // 10**6} MB of memory"
     try:
         make = _preview if "preview_runs" in asked else _compute
@@ -155,11 +160,6 @@ def _memory_ran_out(error: BaseException, memory_bytes: int) -> bool:
         return False
     peak_kb = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmPeak:")), 0)
     return peak_kb * 1024 > 0.9 * memory_bytes
-
-
-def _end_with_input() -> None:
-    sys.stdin.read()
-    os._exit(2)
 
 
 if __name__ == "__main__":

@@ -95,7 +95,17 @@ def difference(first: tuple[int, RunSeries], second: tuple[int, RunSeries]) -> R
     moments_s = np.unique(np.concatenate([samples.times_s for samples in errors if samples is not None]))
     if len(moments_s) < 2:
         return None
-    known = [_errors_at(samples, moments_s) for samples in errors if samples is not None]
+    # The errors at each moment, between the poses before and after; NaN in a gap and outside of all poses.
+    known = []
+    for samples in (errors[0], errors[1]):
+        order = np.argsort(samples.times_s, kind="stable")
+        times_s, values, pieces = samples.times_s[order], samples.values[order], samples.pieces[order]
+        at_moments = np.interp(moments_s, times_s, values, left=np.nan, right=np.nan)
+        if len(times_s) > 1:
+            after = np.clip(np.searchsorted(times_s, moments_s), 1, len(times_s) - 1)
+            in_gap = (pieces[after] != pieces[after - 1]) & (times_s[after] != moments_s)
+            at_moments = np.where(in_gap, np.nan, at_moments)
+        known.append(at_moments)
     both = np.isfinite(known[0]) & np.isfinite(known[1])
     if not both.any():
         return None
@@ -160,18 +170,6 @@ def from_start(series: RunSeries, start_s: float) -> RunSeries:
         dropped_s=series.dropped_s + shift_s,
         played_s=played_s,
     )
-
-
-def _errors_at(samples: Samples, moments_s: Array) -> Array:
-    """The error at each moment, between the poses before and after; NaN in a gap and outside of all poses."""
-    order = np.argsort(samples.times_s, kind="stable")
-    times_s, values, pieces = samples.times_s[order], samples.values[order], samples.pieces[order]
-    found = np.interp(moments_s, times_s, values, left=np.nan, right=np.nan)
-    after = np.clip(np.searchsorted(times_s, moments_s), 1, len(times_s) - 1) if len(times_s) > 1 else None
-    if after is not None:
-        in_gap = (pieces[after] != pieces[after - 1]) & (times_s[after] != moments_s)
-        found = np.where(in_gap, np.nan, found)
-    return found
 
 
 def _largest_sum(terms: Array) -> tuple[float, int, int]:

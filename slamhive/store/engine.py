@@ -82,8 +82,24 @@ def make_engine(database_url: str) -> Engine:
         if "timeout" not in url.query:
             url = url.update_query_dict({"timeout": str(BUSY_TIMEOUT_S)})
         engine = create_engine(url, hide_parameters=True)
-        event.listen(engine, "connect", _configure_sqlite)
-        event.listen(engine, "begin", _begin_sqlite)
+
+        # Readers work beside a writer (WAL), foreign keys are checked, and commits survive a power cut (FULL). A run
+        # commits a dozen times in minutes, so nobody notices the fsync of each commit.
+        @event.listens_for(engine, "connect")
+        def configure(connection: Any, _record: Any) -> None:
+            # Or the driver would begin transactions of its own, and never BEGIN IMMEDIATE.
+            connection.isolation_level = None
+            cache = f"cache_size=-{SQLITE_CACHE_KIB}"
+            for statement in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", cache):
+                connection.execute(f"PRAGMA {statement}")
+
+        # A writer takes the lock at once. Of two read transactions that want to write later, each waits for the other
+        # to end: SQLite fails one of them with SQLITE_BUSY at once, and no busy timeout helps.
+        @event.listens_for(engine, "begin")
+        def begin(connection: Connection) -> None:
+            writes = connection.get_execution_options().get(_WRITES, False)
+            connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
         return engine
     return create_engine(
         url.update_query_dict({"charset": "utf8mb4"}),
@@ -168,27 +184,6 @@ def _check_file(path: Path) -> None:
         raise InvalidInput(f"DATABASE_URL names the folder {path}", f"name a file in it: sqlite:///{path}/slamhive.db")
     if not has_folder:
         raise InvalidInput(f"the database's folder {path.parent} does not exist", "make it, or correct DATABASE_URL")
-
-
-def _configure_sqlite(connection: Any, _record: Any) -> None:
-    """Let readers work beside a writer (WAL), check foreign keys, and let commits survive a power cut (FULL).
-
-    A run commits a dozen times in minutes, so nobody notices the fsync of each commit.
-    """
-    connection.isolation_level = None  # or the driver would begin transactions of its own, and never BEGIN IMMEDIATE
-    cache = f"cache_size=-{SQLITE_CACHE_KIB}"
-    for statement in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", cache):
-        connection.execute(f"PRAGMA {statement}")
-
-
-def _begin_sqlite(connection: Connection) -> None:
-    """A writer takes the lock at once.
-
-    Of two read transactions that want to write later, each waits for the other to end: SQLite fails one of them with
-    SQLITE_BUSY at once, and no busy timeout helps.
-    """
-    writes = connection.get_execution_options().get(_WRITES, False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
 # -- the statistics that a database plans its queries with -------------------------------------------------------------

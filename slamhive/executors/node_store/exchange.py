@@ -323,8 +323,14 @@ class Offers:
     def _pack(folder: Path, archive: Path) -> Item:
         """The same folder makes the same archive, so that a node fetches nothing again after a sweep."""
         aside = archive.with_name(f".{archive.name}.packing")
+
+        def anonymous(info: tarfile.TarInfo) -> tarfile.TarInfo:
+            info.uid = info.gid = 0
+            info.uname = info.gname = ""
+            return info
+
         with tarfile.open(aside, "w") as opened:
-            opened.add(folder, "", filter=_anonymous)
+            opened.add(folder, "", filter=anonymous)
         item = Item(sha256_of(aside), aside.stat().st_size, FOLDER, size_bytes(folder))
         write_aside(archive.with_suffix(".json"), json.dumps(item._asdict()))
         aside.replace(archive)
@@ -337,12 +343,6 @@ class Offers:
         if key not in self._hashes:
             self._hashes[key] = sha256_of(path)
         return self._hashes[key]
-
-
-def _anonymous(info: tarfile.TarInfo) -> tarfile.TarInfo:
-    info.uid = info.gid = 0
-    info.uname = info.gname = ""
-    return info
 
 
 def _known(archive: Path) -> Item | None:

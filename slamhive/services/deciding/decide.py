@@ -158,7 +158,51 @@ def _decision(
 ) -> Decision:
     metric = described(plan.metric)
     is_open = answer is QuestionAnswer.OPEN
-    ranked = sorted(_candidates(look, entered, answer), key=lambda entry: list(CandidateStanding).index(entry.standing))
+
+    # Those that are left with the best mean first, then the beaten ones, the last beaten first.
+    places = {} if entered is None else {candidate.label: place for place, candidate in enumerate(entered.racing)}
+    order = list(look.candidates)
+    if entered is not None:
+        state = entered.state
+        beaten = sorted(
+            (place for place in range(len(entered.racing)) if place not in state.left),
+            key=lambda place: (-state.lanes[place].rounds, state.lanes[place].mean),
+        )
+        inside = [entered.racing[place] for place in (*state.left, *beaten)]
+        order = [*inside, *(candidate for candidate in look.candidates if candidate.label not in places)]
+    shown = []
+    for candidate in order:
+        runs = [run for run in look.of(candidate) if run.use in (RunUse.GOOD, RunUse.FAILED)]
+        row = DecisionCandidate(
+            label=candidate.label,
+            values=candidate.values,
+            cells=dict(candidate.cells),
+            standing=CandidateStanding.ASIDE,
+            runs=len(runs),
+            failed=sum(run.use is RunUse.FAILED for run in runs),
+            mean=None,
+        )
+        place = places.get(candidate.label)
+        if entered is not None and place is not None:
+            state, lane = entered.state, entered.state.lanes[place]
+            standing = CandidateStanding.BEATEN if lane.beaten_by is not None else CandidateStanding.LEFT
+            if answer is QuestionAnswer.BEST and place in state.left:
+                standing = CandidateStanding.BEST
+            pair = next((pair for pair in state.pairs if (pair.first, pair.second) == (place, state.left[0])), None)
+            known = pair is not None and math.isfinite(pair.half_width)
+            row = row.model_copy(
+                update={
+                    "standing": standing,
+                    "rounds": lane.rounds,
+                    "mean": None if lane.mean is None else entered.sign * lane.mean,
+                    "beaten_by": None if lane.beaten_by is None else entered.racing[lane.beaten_by].label,
+                    "difference": entered.sign * pair.value if pair is not None and known else None,
+                    "difference_within": pair.half_width if pair is not None and known else None,
+                }
+            )
+        shown.append(row)
+    ranked = sorted(shown, key=lambda entry: list(CandidateStanding).index(entry.standing))
+
     return Decision(
         experiment=look.record.name,
         question=ExperimentQuestion.DECIDE,
@@ -176,52 +220,6 @@ def _decision(
         next=words if is_open else "",
         notes=tuple(_notes(look)),
     )
-
-
-def _candidates(look: QuestionLook, entered: _Entered | None, answer: QuestionAnswer) -> list[DecisionCandidate]:
-    """All candidates: those that are left with the best mean first, then the beaten ones, the last beaten first."""
-    places = {} if entered is None else {candidate.label: place for place, candidate in enumerate(entered.racing)}
-    order = list(look.candidates)
-    if entered is not None:
-        state = entered.state
-        beaten = sorted(
-            (place for place in range(len(entered.racing)) if place not in state.left),
-            key=lambda place: (-state.lanes[place].rounds, state.lanes[place].mean),
-        )
-        inside = [entered.racing[place] for place in (*state.left, *beaten)]
-        order = [*inside, *(candidate for candidate in look.candidates if candidate.label not in places)]
-    found = []
-    for candidate in order:
-        runs = [run for run in look.of(candidate) if run.use in (RunUse.GOOD, RunUse.FAILED)]
-        shown = DecisionCandidate(
-            label=candidate.label,
-            values=candidate.values,
-            cells=dict(candidate.cells),
-            standing=CandidateStanding.ASIDE,
-            runs=len(runs),
-            failed=sum(run.use is RunUse.FAILED for run in runs),
-            mean=None,
-        )
-        place = places.get(candidate.label)
-        if entered is not None and place is not None:
-            state, lane = entered.state, entered.state.lanes[place]
-            standing = CandidateStanding.BEATEN if lane.beaten_by is not None else CandidateStanding.LEFT
-            if answer is QuestionAnswer.BEST and place in state.left:
-                standing = CandidateStanding.BEST
-            pair = next((pair for pair in state.pairs if (pair.first, pair.second) == (place, state.left[0])), None)
-            known = pair is not None and math.isfinite(pair.half_width)
-            shown = shown.model_copy(
-                update={
-                    "standing": standing,
-                    "rounds": lane.rounds,
-                    "mean": None if lane.mean is None else entered.sign * lane.mean,
-                    "beaten_by": None if lane.beaten_by is None else entered.racing[lane.beaten_by].label,
-                    "difference": entered.sign * pair.value if pair is not None and known else None,
-                    "difference_within": pair.half_width if pair is not None and known else None,
-                }
-            )
-        found.append(shown)
-    return found
 
 
 def _notes(look: QuestionLook) -> list[str]:

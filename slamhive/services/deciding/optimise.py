@@ -372,6 +372,26 @@ def _standing(look: QuestionLook, seen: _Seen, answer: QuestionAnswer, words: st
         for objective, shares in zip(seen.objectives, () if state is None else state.importance, strict=False)
         for axis, share in sorted(zip(seen.axes, shares, strict=False), key=lambda entry: -entry[1])
     ]
+
+    # The state after 24, 48, 96 runs and so on, and now: computed from the runs, so that a kill loses nothing.
+    steps: list[int] = []
+    runs = LEAST_SEARCH_RUNS
+    while runs < len(seen.scores):
+        steps.append(runs)
+        runs *= 2
+    growth = []
+    for runs in [*steps, len(seen.scores)]:
+        then = state if runs == len(seen.scores) else seen.fitted(runs)
+        if then is not None:
+            front = tuple(
+                {
+                    objective.key: objective.value(float(then.scores[place, column]))
+                    for column, objective in enumerate(seen.objectives)
+                }
+                for place in then.front
+            )
+            growth.append(SearchGrowth(runs=runs, gap=seen.share(then.gap), front=front))
+
     return SearchStanding(
         experiment=look.record.name,
         question=ExperimentQuestion.OPTIMISE,
@@ -394,32 +414,10 @@ def _standing(look: QuestionLook, seen: _Seen, answer: QuestionAnswer, words: st
         datasets=look.datasets,
         candidates=tuple(_leading(look, seen)),
         importance=tuple(importance),
-        growth=tuple(_growth(seen)),
+        growth=tuple(growth),
         next=words if is_open else "",
         notes=tuple(_notes(look, seen)),
     )
-
-
-def _growth(seen: _Seen) -> list[SearchGrowth]:
-    """State after 24, 48, 96 runs and so on, and now: computed from the runs, so that a kill loses nothing."""
-    steps: list[int] = []
-    runs = LEAST_SEARCH_RUNS
-    while runs < len(seen.scores):
-        steps.append(runs)
-        runs *= 2
-    found = []
-    for runs in [*steps, len(seen.scores)]:
-        state = seen.state if runs == len(seen.scores) else seen.fitted(runs)
-        if state is not None:
-            front = tuple(
-                {
-                    objective.key: objective.value(float(state.scores[place, column]))
-                    for column, objective in enumerate(seen.objectives)
-                }
-                for place in state.front
-            )
-            found.append(SearchGrowth(runs=runs, gap=seen.share(state.gap), front=front))
-    return found
 
 
 def _leading(look: QuestionLook, seen: _Seen) -> list[SearchedCandidate]:

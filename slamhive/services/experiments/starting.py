@@ -445,7 +445,16 @@ class Restored:
 
 def restore_rows(context: ExperimentContext) -> Iterator[Restored]:
     """Add or update the row of each experiment from its folder, before the runs are filed."""
-    for folder in sorted(experiment_folders(context.settings.experiments_folder), key=_first_stored):
+
+    def first_stored(folder: ExperimentFolder) -> tuple[str, str]:
+        # Experiments are listed in the order in which they were stored.
+        try:
+            stored = folder.read()
+        except SlamHiveError:
+            stored = None
+        return "" if stored is None else stored.created_at.isoformat(), folder.root.name
+
+    for folder in sorted(experiment_folders(context.settings.experiments_folder), key=first_stored):
         try:
             stored, source = folder.read(), folder.source()
             if stored is None:
@@ -506,15 +515,6 @@ def _follow(context: ExperimentContext, record: ExperimentRecord) -> None:
             t.experiments.hold(record.id, held=record.state is ExperimentState.PAUSED)
 
     context.store.write(work)
-
-
-def _first_stored(folder: ExperimentFolder) -> tuple[str, str]:
-    """The sort key: experiments are listed in the order in which they were stored."""
-    try:
-        stored = folder.read()
-    except SlamHiveError:
-        stored = None
-    return "" if stored is None else stored.created_at.isoformat(), folder.root.name
 
 
 def _run_count(context: ExperimentContext, record: ExperimentRecord) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -205,25 +205,48 @@ def build_spec(
         max_bytes=limits.file_bytes,
         max_files=None if limits.files is None else limits.files + 1,
     )
+
+    dataset, package = job.seen, job.algorithm.package
+    inputs: list[RunInput] = []
+    if not (package.standard_image or (package.folder / "Dockerfile").is_file()):
+        # An image made for the published SLAM Hive does not hold its scripts. It gets a copy that it may change.
+        inputs.append(_input("slamhive", package.folder / "slamhive", CONTAINER_ROOT, own_copy=True))
+    inputs.append(_input("config", folder.config, f"{CONTAINER_ROOT}/config.yaml"))
+    inputs.append(_input(RECORDING, dataset.bag_path, f"{DATASET_TARGET}/{dataset.bag}", content=dataset.checksum))
+    if (dataset.folder / DATASET_FILE).is_file():
+        inputs.append(_input(DATASET_FILE, dataset.folder / DATASET_FILE, f"{DATASET_TARGET}/{DATASET_FILE}"))
+    script = current_script(dataset.folder / PLAY_SCRIPT) if job.order is None else shipped_script()
+    # This program may be in a container itself, and the engine sees the data root but not the files of the program.
+    copied = script == shipped_script()
+    inputs.append(_input(PLAY_SCRIPT, script, f"{DATASET_TARGET}/{PLAY_SCRIPT}", own_copy=copied))
+    if settings.orb_vocabulary:
+        inputs.append(_input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY))
+    for entry in job.weights:
+        name, content = entry.weights.name, f"sha256:{entry.sha256}"
+        inputs.append(_input(f"weights {name}", entry.path, f"{CONTAINER_WEIGHTS}/{name}", content=content))
+    if job.input_map is not None:
+        found = job.input_map
+        inputs.append(_input("map", found.path, _map_target(found), content=found.map.content))
+
     return RunSpec(
         key=job.key,
         run_id=job.run_id,
-        package=job.algorithm.package.name,
-        package_folder=job.algorithm.package.folder,
-        image=job.algorithm.package.image,
+        package=package.name,
+        package_folder=package.folder,
+        image=package.image,
         identity=identity,
         command=with_niceness(COMMAND, job.options.nice),
-        inputs=tuple(_inputs(job, folder, settings)),
+        inputs=tuple(inputs),
         outputs=(results,),
         environment=_environment(job, settings),
         limits=limits,
         timeout_s=time_limit_s(job, settings),
         work=folder.work,
-        user=job.algorithm.package.user,
+        user=package.user,
         gpu=None if job.gpu is None else job.gpu.uuid,
         asks_gpu=job.asks_gpu,
         variant=job.order,
-        shm_bytes=None if job.algorithm.package.shm_mb is None else job.algorithm.package.shm_mb * 1_000_000,
+        shm_bytes=None if package.shm_mb is None else package.shm_mb * 1_000_000,
     )
 
 
@@ -286,29 +309,6 @@ def provenance(job: Job, identity: str, number: int) -> dict[str, Any]:
 def with_made_variant(record: Mapping[str, Any], checksum: str) -> dict[str, Any]:
     """The dataset in the record of a run, once its node has made the variant."""
     return {**record["dataset"], _VARIANT_CHECKSUM: checksum}
-
-
-def _inputs(job: Job, folder: RunFolder, settings: Settings) -> Iterator[RunInput]:
-    dataset, package = job.seen, job.algorithm.package
-    if not (package.standard_image or (package.folder / "Dockerfile").is_file()):
-        # An image made for the published SLAM Hive does not hold its scripts. It gets a copy that it may change.
-        yield _input("slamhive", package.folder / "slamhive", CONTAINER_ROOT, own_copy=True)
-    yield _input("config", folder.config, f"{CONTAINER_ROOT}/config.yaml")
-    yield _input(RECORDING, dataset.bag_path, f"{DATASET_TARGET}/{dataset.bag}", content=dataset.checksum)
-    if (dataset.folder / DATASET_FILE).is_file():
-        yield _input(DATASET_FILE, dataset.folder / DATASET_FILE, f"{DATASET_TARGET}/{DATASET_FILE}")
-    script = current_script(dataset.folder / PLAY_SCRIPT) if job.order is None else shipped_script()
-    # This program may be in a container itself, and the engine sees the data root but not the files of the program.
-    copied = script == shipped_script()
-    yield _input(PLAY_SCRIPT, script, f"{DATASET_TARGET}/{PLAY_SCRIPT}", own_copy=copied)
-    if settings.orb_vocabulary:
-        yield _input("vocabulary", Path(settings.orb_vocabulary), CONTAINER_VOCABULARY)
-    for entry in job.weights:
-        name = entry.weights.name
-        yield _input(f"weights {name}", entry.path, f"{CONTAINER_WEIGHTS}/{name}", content=f"sha256:{entry.sha256}")
-    if job.input_map is not None:
-        found = job.input_map
-        yield _input("map", found.path, _map_target(found), content=found.map.content)
 
 
 def _input(name: str, source: Path, target: str, *, content: str | None = None, own_copy: bool = False) -> RunInput:
