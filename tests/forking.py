@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tests import compiled_once, durability, fresh_tables
 
@@ -24,8 +25,9 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 def serve(work: Callable[[str], int], *, without: str | None = None) -> None:
     """Call ``work`` with each line of standard input, in a process of its own that is forked from this one.
 
-    This one imports what they have used, but for modules whose names begin with ``without``. The answer to a line is
-    the exit code (-9: it was killed) and what ``work`` returned, 0 if it did not.
+    This one imports what they have used, but for modules whose names begin with ``without``, and completes the data
+    models that they have completed. The answer to a line is the exit code (-9: it was killed) and what ``work``
+    returned, 0 if it did not.
     """
     for line in sys.stdin:
         durability.leave_out(True)  # again each time: SQLAlchemy is imported after the first
@@ -35,19 +37,37 @@ def serve(work: Callable[[str], int], *, without: str | None = None) -> None:
         child = os.fork()
         if child == 0:
             with os.fdopen(writing, "w") as report:
-                report.write(" ".join((str(work(line)), *sys.modules)))
+                returned = str(work(line))
+                finished = (f"+{name}" for name, model in models().items() if model.__pydantic_complete__)
+                report.write(" ".join((returned, *sys.modules, *finished)))
             os._exit(0)
         os.close(writing)
         with os.fdopen(reading) as report:
-            returned, *modules = report.read().split() or ("0",)
+            returned, *names = report.read().split() or ("0",)
         _, status = os.waitpid(child, 0)
         sys.stdout.write(f"{os.waitstatus_to_exitcode(status)} {returned}\n")
         sys.stdout.flush()
-        for name in modules:
-            if without is not None and name.startswith(without):
+        for name in names:
+            if name.startswith("+") or (without is not None and name.startswith(without)):
                 continue
             with contextlib.suppress(ImportError):  # some modules have names that cannot be imported
                 importlib.import_module(name)
+        complete = {name[1:] for name in names if name.startswith("+")}
+        for name, model in models().items():
+            if name in complete and not model.__pydantic_complete__:
+                model.model_rebuild(raise_errors=False)
+
+
+def models() -> dict[str, Any]:
+    """The data models that have been imported, by module and name. Many are completed when they are first used."""
+    waiting = [sys.modules["pydantic"].BaseModel] if "pydantic" in sys.modules else []
+    found = {}
+    while waiting:
+        for model in waiting.pop().__subclasses__():
+            waiting.append(model)
+            if model.__module__.startswith("slamhive."):
+                found[f"{model.__module__}.{model.__qualname__}"] = model
+    return found
 
 
 @dataclass(frozen=True)
