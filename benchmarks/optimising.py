@@ -30,7 +30,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.search_tables import Numbers, SearchTable, held_out_table, real_table, tuning_table
-from slamhive.analysis.adaptive_search import SearchAim, SearchRuns, first_places, front_of, search
+from slamhive.analysis.adaptive_search import SearchAim, SearchRuns, first_places, front_of, promoted, search
 from slamhive.analysis.optuna_sampling import suggested
 from slamhive.domain.question import SearchSampler
 from slamhive.experiments.experiment import LEAST_SEARCH_RUNS
@@ -38,6 +38,9 @@ from slamhive.experiments.experiment import LEAST_SEARCH_RUNS
 WITHIN, CONFIDENCE, LOOK_EVERY = 0.05, 0.95, 4
 GRID_SHARE, OPTUNA_SHARE = 0.2, 0.7
 MOST_REPEATS = 40
+COSTS = (10, 20, 30, 40, 60, 80, 100, 150)
+KEEP, CLIP_SHARE = 0.33, 15 / 120
+"""First looks: the best third of clips of 15 s is run in full, over 120 s."""
 TABLES: dict[str, Callable[[int], SearchTable]] = {
     "tuning": tuning_table,
     "held-out": held_out_table,
@@ -50,7 +53,7 @@ TABLES: dict[str, Callable[[int], SearchTable]] = {
 class Look:
     """After so many runs: how far the best is behind the truth, and how far it is said to be at most."""
 
-    runs: int
+    runs: float
     behind: float
     said: float | None = None
 
@@ -79,6 +82,33 @@ def by_search(sampler: SearchSampler, table: SearchTable, seed: int, most: int, 
             chosen = suggested(sampler, table.space, np.array(places), finite, LOOK_EVERY, nothing)
         places += chosen
         scores += [table.draw(place, rng)[:objectives] for place in chosen]
+
+
+def by_first_looks(rho: float, table: SearchTable, seed: int, most: int, objectives: int) -> Iterator[Look]:
+    """The search with first looks at clips; runs are counted in lengths of the whole recording."""
+    rng = np.random.default_rng(1000 + seed)
+    clips = table.with_clips(rho, seed)
+    worst = table.worst[:objectives]
+    looks: dict[int, float] = {}
+    places: list[int] = []
+    scores: list[Numbers] = []
+    chosen = [int(place) for place in first_places(len(table.grid), seed)[: math.ceil(LEAST_SEARCH_RUNS / KEEP)]]
+    new, followed = chosen, []
+    while len(scores) + CLIP_SHARE * len(looks) < most:
+        looks |= {place: clips.draw_clip(place, rng) for place in new}
+        if not places:
+            followed = promoted(looks, KEEP)[:LEAST_SEARCH_RUNS]
+        places += followed
+        scores += [table.draw(place, rng)[:objectives] for place in followed]
+        found = SearchRuns(np.array(places), np.array(scores), worst)
+        state = search(table.space, found, SearchAim(CONFIDENCE, LOOK_EVERY))
+        cost = len(scores) + CLIP_SHARE * len(looks)
+        yield Look(cost, behind_front(table, state.front, objectives), float(np.expm1(state.gap)))
+        new = [place for place in dict.fromkeys(state.next) if place not in places and place not in looks]
+        followed = [place for place in promoted(looks, KEEP) if place not in places]
+        behind = [place for place in state.next if place not in places and place in looks and place not in followed]
+        followed += sorted(behind, key=lambda place: looks[place])[:1]
+        followed = [*followed, *(place for place in state.next if place in places)][:LOOK_EVERY]
 
 
 def by_optuna(sampler: SearchSampler, table: SearchTable, seed: int, most: int, objectives: int) -> Iterator[Look]:
@@ -146,6 +176,8 @@ METHODS: dict[str, Callable[[SearchTable, int, int, int], Iterator[Look]]] = {
     "model": partial(by_search, SearchSampler.MODEL),
     "tpe": partial(by_search, SearchSampler.TPE),
     "nsga2": partial(by_search, SearchSampler.NSGA2),
+    "looks 0.7": partial(by_first_looks, 0.7),
+    "looks 0.4": partial(by_first_looks, 0.4),
     "plain tpe": partial(by_optuna, SearchSampler.TPE),
     "plain nsga2": partial(by_optuna, SearchSampler.NSGA2),
     "random": by_chance,
@@ -153,16 +185,22 @@ METHODS: dict[str, Callable[[SearchTable, int, int, int], Iterator[Look]]] = {
 }
 
 
-def runs_needed(looks: Sequence[Sequence[Look]]) -> int | None:
+def runs_needed(looks: Sequence[Sequence[Look]]) -> float | None:
     """The first number of runs from which on enough tables are answered rightly; None if there is none."""
-    needed = 0
+    needed = 0.0
     for row in zip(*looks, strict=False):
         right = sum(look.behind <= WITHIN for look in row)
         if right < CONFIDENCE * len(row):
-            needed = 0
+            needed = 0.0
         elif not needed:
-            needed = row[0].runs
+            needed = max(look.runs for look in row)
     return needed or None
+
+
+def right_after(looks: Sequence[Sequence[Look]], cost: float) -> int:
+    """The number of tables on which the last look up to a cost was right."""
+    known = ([look for look in of_table if look.runs <= cost] for of_table in looks)
+    return sum(bool(of_table) and of_table[-1].behind <= WITHIN for of_table in known)
 
 
 def measured(method: str, kind: str, most: int, objectives: int, seed: int) -> list[Look]:
@@ -175,6 +213,7 @@ def summary(looks: Sequence[Sequence[Look]]) -> dict[str, Any]:
     found: dict[str, Any] = {
         "runs": runs_needed(looks),
         "looked until": min(of_table[-1].runs for of_table in looks),
+        "right after": {cost: right_after(looks, cost) for cost in COSTS},
         "right at the end": sum(of_table[-1].behind <= WITHIN for of_table in looks),
         "behind at the end, median": float(np.median([of_table[-1].behind for of_table in looks])),
         "behind at the end, largest": max(of_table[-1].behind for of_table in looks),

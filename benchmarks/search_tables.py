@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 import tarfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 from pathlib import Path
 
@@ -41,6 +41,7 @@ class SearchTable:
         failing: (n,), the share of failed runs.
         log_cost: (n,), the mean logarithm of the CPU use (cores).
         heavy: The noise has Student's t distribution with 4 degrees of freedom, else a normal one.
+        log_clip: (n,), the mean logarithm of the error of clips.
         drawn: (n, repeats), real runs, of which a further one is drawn; infinite for a failed run.
     """
 
@@ -52,6 +53,21 @@ class SearchTable:
     log_cost: Numbers
     heavy: bool = False
     drawn: Numbers | None = None
+    log_clip: Numbers | None = None
+
+    def with_clips(self, rho: float, seed: int) -> SearchTable:
+        """The table with clips whose mean logarithm of the error correlates with that of whole runs by ``rho``."""
+        mean, spread = self.log_mean.mean(), self.log_mean.std()
+        other = np.random.default_rng(5000 + seed).standard_normal(len(self.grid))
+        clips = mean + rho * (self.log_mean - mean) + math.sqrt(1 - rho**2) * spread * other
+        return replace(self, log_clip=clips)
+
+    def draw_clip(self, place: int, rng: np.random.Generator) -> float:
+        """The logarithm of the error of a clip, as noisy as a whole run; infinite if it failed, half as often."""
+        assert self.log_clip is not None
+        if rng.random() < self.failing[place] / 2:
+            return math.inf
+        return float(self.log_clip[place] + self.deviation[place] * rng.standard_normal())
 
     @property
     def space(self) -> SearchSpace:

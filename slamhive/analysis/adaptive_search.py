@@ -18,7 +18,7 @@ distance. A candidate is judged by the mean of its scores, in which a failed run
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,6 +130,20 @@ class SearchAim:
     at_once: int
     failing_counts: bool = False
     allowed_failing: float | None = None
+
+
+def promoted(looks: Mapping[int, float], keep: float) -> list[int]:
+    """The places whose first looks are among the best ``keep`` of all, the best first: they may run in full.
+
+    Asynchronous successive halving with two rungs (L. Li et al., MLSys 2020): nobody waits for the last look, and a
+    place that is behind later keeps what it was given. A first look only ranks, so its score enters no model.
+
+    Args:
+        looks: {place: score}, smaller is better; infinite where the look failed, which is never promoted.
+        keep: Share of the looks.
+    """
+    order = sorted((score, place) for place, score in looks.items())
+    return [place for score, place in order[: math.floor(keep * len(order) + 1e-9)] if math.isfinite(score)]
 
 
 def search(space: SearchSpace, runs: SearchRuns, aim: SearchAim) -> SearchState:

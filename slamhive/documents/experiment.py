@@ -368,7 +368,8 @@ class SearchStanding(Document):
     ]
     expected_gain: Annotated[float | None, described("What going on may gain on average, as a share; null if unknown.")]
     budget: str
-    runs: Annotated[int, described("Runs so far, those that wait included.")]
+    runs: Annotated[int, described("Runs on whole recordings so far, those that wait included.")]
+    first_looks: Annotated[int, described("Runs on the beginning of a recording, which only rank.")]
     combinations: Annotated[int, described("All combinations with all datasets.")]
     datasets: tuple[str, ...]
     candidates: Annotated[tuple[SearchedCandidate, ...], described("Those that may be best, the best first.")]

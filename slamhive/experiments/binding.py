@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, product
-from math import prod
+from math import floor, prod
 
-from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
+from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, unknown
 from slamhive.base.strict_yaml import YamlPlace
 from slamhive.documents.limits import Limits
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.configuration import (
+    CLIP,
     Configuration,
     InputMap,
     Playback,
@@ -28,7 +29,7 @@ from slamhive.domain.parameters import Parameter, Scalar, Value, default_values,
 from slamhive.domain.roles import BY_RULE, Chosen
 from slamhive.domain.sensors import Sensor, SensorKind
 from slamhive.experiments.condition import compared_names, read_names
-from slamhive.experiments.experiment import Experiment, ExperimentAxis, StepDeclaration
+from slamhive.experiments.experiment import FIRST_LOOK, Experiment, ExperimentAxis, StepDeclaration
 from slamhive.experiments.values import check_distinct, plain, typed
 
 # Steps on sensors, in the canonical order and spelling that identifies a variant.
@@ -82,17 +83,23 @@ def _no_maps(reference: str, algorithm: Algorithm) -> InputMap:
     raise InvalidInput(f"there is no run {reference} with a map for {algorithm.name}")
 
 
+def _no_recording(dataset: Dataset) -> float:
+    raise NotFound(f"the recording of {dataset.name} is not here")
+
+
 @dataclass(frozen=True, slots=True)
 class CatalogueView:
     """Algorithms and datasets by name, and the rules of pre-processing steps.
 
     ``find_map`` finds the map of the run with a number or uid for an algorithm; raises NotFound or InvalidInput.
+    ``begin_s`` reads when the recording of a dataset begins (s since 1970); raises NotFound or InvalidInput.
     """
 
     algorithms: Mapping[str, Algorithm]
     datasets: Mapping[str, Dataset]
     steps: StepRules
     find_map: Callable[[str, Algorithm], InputMap] = _no_maps
+    begin_s: Callable[[Dataset], float] = _no_recording
 
 
 IMAGE = "image"
@@ -103,6 +110,7 @@ _KINDS: dict[str, tuple[SensorKind, ...]] = {
 
 PLAYBACK_MODE = "playback_mode"
 PLAYBACK_RATE = "playback_rate"
+WHOLE = "whole"
 
 Row = dict[str, Value]
 """The value of each axis that applies, by axis name."""
@@ -195,7 +203,8 @@ class ParameterPair:
 
     ``parameters``: {axis name: parameter key}. ``fixed`` are the values of names that do not vary, ``aliases`` the
     further names of axes: {name: axis name}; conditions may use them all. ``variants`` remembers what was resolved.
-    ``limits`` are those of all runs, but for those that ``limit_axes`` vary.
+    ``limits`` are those of all runs, but for those that ``limit_axes`` vary. ``clip_s`` are the times between which
+    first looks see the recording.
     """
 
     algorithm: Algorithm
@@ -211,6 +220,7 @@ class ParameterPair:
     limits: Limits
     limit_axes: tuple[str, ...] = ()
     map: InputMap | None = None
+    clip_s: tuple[float, float] | None = None
 
     @property
     def size(self) -> int:
@@ -258,8 +268,9 @@ class ParameterPair:
 
     @property
     def step_axes(self) -> tuple[str, ...]:
-        """The axes of the options of steps."""
-        return tuple(name for step in self.steps for name in step.options.values())
+        """The axes that the variant follows from: options of steps, and first looks."""
+        axes = [name for step in self.steps for name in step.options.values()]
+        return (*axes, *([] if self.clip_s is None else [FIRST_LOOK]))
 
     def context(self, row: Row) -> dict[str, Value]:
         """The value of each name that a condition may use."""
@@ -290,6 +301,9 @@ class ParameterPair:
                         f"{error.message}",
                         error.remedy,
                     ) from None
+            if self.clip_s is not None and row[FIRST_LOOK] != WHOLE:
+                options = {"begin_s": self.clip_s[0], "end_s": self.clip_s[1]}
+                variant += resolve_step(self.rules, CLIP, options, list(sensors), sensors)
             self.variants[settings] = tuple(variant)
         return self.variants[settings]
 
@@ -396,6 +410,9 @@ def bind(
     for varied, parameter in parameters:
         axes[varied.name] = BoundAxis(varied.values, varied.place, parameter)
     axes.update({axis.name: BoundAxis(axis.values, axis.place) for axis in experiment.limit_axes})
+    clip_s = _clip_s(experiment, view, dataset)
+    if clip_s is not None and experiment.optimise is not None and experiment.optimise.first_look is not None:
+        axes[FIRST_LOOK] = BoundAxis((WHOLE, experiment.optimise.first_look.words), experiment.optimise.place)
     modes = tuple(mode.value for mode in experiment.playback.modes)
     axes[PLAYBACK_MODE] = BoundAxis(modes, experiment.place)
     axes[PLAYBACK_RATE] = BoundAxis(experiment.playback.rates, experiment.place)
@@ -431,7 +448,26 @@ def bind(
         limits=experiment.limits,
         limit_axes=tuple(axis.name for axis in experiment.limit_axes),
         map=_map(experiment, view, algorithm),
+        clip_s=clip_s,
     )
+
+
+def _clip_s(experiment: Experiment, view: CatalogueView, dataset: Dataset) -> tuple[float, float] | None:
+    """The times (s since 1970) between which first looks see the recording; None without first looks."""
+    plan = experiment.optimise
+    if plan is None or plan.first_look is None:
+        return None
+    if 2 * plan.first_look.seconds > dataset.duration_s:
+        raise InvalidInput(
+            f"{plan.place}: the {plan.first_look.words} are no first look at {dataset.name}, which takes "
+            f"{dataset.duration_s:.4g} s",
+            "take half of it at most, or leave out first_look",
+        )
+    try:
+        begin_s = floor(view.begin_s(dataset) * 100) / 100
+    except SlamHiveError as error:
+        raise at(plan.place, error) from None
+    return begin_s, begin_s + plan.first_look.seconds
 
 
 def _map(experiment: Experiment, view: CatalogueView, algorithm: Algorithm) -> InputMap | None:

@@ -18,6 +18,7 @@ from slamhive.domain.parameters import Parameter, Value, find_parameter
 from slamhive.experiments.binding import (
     PLAYBACK_MODE,
     PLAYBACK_RATE,
+    WHOLE,
     CatalogueView,
     Filter,
     PairConfigurations,
@@ -26,10 +27,10 @@ from slamhive.experiments.binding import (
     at,
     bind,
 )
-from slamhive.experiments.experiment import Experiment, ExperimentAxis
+from slamhive.experiments.experiment import FIRST_LOOK, Experiment, ExperimentAxis
 from slamhive.experiments.file import DatasetsWhere
 
-RESERVED = ("algorithm", "dataset", "seed", "repeat", PLAYBACK_MODE, PLAYBACK_RATE)
+RESERVED = ("algorithm", "dataset", "seed", "repeat", PLAYBACK_MODE, PLAYBACK_RATE, FIRST_LOOK)
 
 
 def bind_all(experiment: Experiment, view: CatalogueView) -> tuple[list[ParameterPair], Filter]:
@@ -293,6 +294,8 @@ class Expansion(Iterator[PlannedRun]):
                 seen.add(identity)
                 name = f"{experiment.name}-{len(seen):0{digits}d}"
                 values = {**heading, **row}
+                if row.get(FIRST_LOOK) == WHOLE:
+                    del values[FIRST_LOOK]
                 for seed in experiment.seeds:
                     for repeat in range(1, experiment.repeats + 1):
                         number += 1

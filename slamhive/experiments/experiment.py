@@ -175,6 +175,28 @@ class MetricLimit:
         return value > self.value if self.at_most else value < self.value
 
 
+FIRST_LOOK = "first_look"
+"""The axis whose values mark the cells that run on a clip: ``first 15 s``. Cells without it run on the whole."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstLook:
+    """A run on the beginning of the recording, which only ranks: the best are run on the whole of it.
+
+    Attributes:
+        seconds: Length of the clip.
+        keep: Share of the first looks that may run on the whole.
+    """
+
+    seconds: float
+    keep: float
+
+    @property
+    def words(self) -> str:
+        """``first 15 s``, the value of the axis."""
+        return f"first {self.seconds:g} s"
+
+
 @dataclass(frozen=True, slots=True)
 class OptimisePlan:
     """The search for the best of many candidates. A candidate is a combination of everything but the dataset.
@@ -189,6 +211,7 @@ class OptimisePlan:
         within: The search ends when the best one is so near to the truly best, as a share.
         confidence: Of that.
         worst: The value that a failed run counts as, in the metric's unit. None takes one from the good runs.
+        first_look: The clips that candidates are looked at first; None runs the whole recording at once.
     """
 
     metric: str
@@ -201,6 +224,7 @@ class OptimisePlan:
     against: tuple[str, ...] = ()
     failing: float | None = None
     sampler: SearchSampler = SearchSampler.MODEL
+    first_look: FirstLook | None = None
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -301,6 +325,7 @@ _LATER: tuple[tuple[str, object], ...] = (
     ("against", ()),
     ("failing", None),
     ("sampler", SearchSampler.MODEL),
+    ("first_look", None),
     *((option.name, option.default) for option in fields(Limits) if option.name not in _FIRST_LIMITS),
 )
 """Fields that came later, at their defaults: experiments that were stored before keep their hash."""
@@ -343,25 +368,33 @@ LEAST_SEARCH_RUNS = 24
 
 @dataclass(frozen=True, slots=True)
 class ExperimentCandidate:
-    """A combination of everything but the dataset; ``cells``: {dataset: number of its cell}."""
+    """A combination of everything but the dataset; ``cells``: {dataset: number of its cell}.
+
+    ``looks`` are the cells of its first looks.
+    """
 
     values: Mapping[str, Value]
     cells: Mapping[str, int]
     label: str
+    looks: Mapping[str, int] = field(default_factory=dict)
 
 
 def candidates_of(cells: Iterable[tuple[int, Mapping[str, Value]]]) -> tuple[ExperimentCandidate, ...]:
     """The candidates among cells, given as numbers and the values of their axes, in the order of their first cells."""
     found: dict[tuple[tuple[str, Value], ...], dict[str, int]] = {}
+    looks: dict[tuple[tuple[str, Value], ...], dict[str, int]] = {}
     for number, values in cells:
-        key = tuple((axis, value) for axis, value in values.items() if axis != DATASET)
-        found.setdefault(key, {})[str(values[DATASET])] = number
+        key = tuple((axis, value) for axis, value in values.items() if axis not in (DATASET, FIRST_LOOK))
+        (looks if FIRST_LOOK in values else found).setdefault(key, {})[str(values[DATASET])] = number
     seen: dict[str, set[Value]] = {}
     for key in found:
         for axis, value in key:
             seen.setdefault(axis, set()).add(value)
     told = [axis for axis, values in seen.items() if len(values) > 1] or [ALGORITHM]
-    return tuple(ExperimentCandidate(dict(key), places, _label(dict(key), told)) for key, places in found.items())
+    return tuple(
+        ExperimentCandidate(dict(key), places, _label(dict(key), told), looks.get(key, {}))
+        for key, places in found.items()
+    )
 
 
 def check_candidates(experiment: Experiment, candidates: Iterable[ExperimentCandidate]) -> None:

@@ -46,6 +46,7 @@ from slamhive.experiments.experiment import (
     EvaluationChoice,
     Experiment,
     ExperimentAxis,
+    FirstLook,
     Link,
     MetricLimit,
     OptimisePlan,
@@ -66,6 +67,8 @@ _SEED, _RATE = OPTIONS["seed"], OPTIONS["playback_rate"]
 _NAME = re.compile(NAME_PATTERN)
 _LIMIT = re.compile(r"([\w.]+)\s*(<=|>=)\s*(.+)")
 MOST_AGAINST = 3
+LONGEST_LOOK_S = 3600.0
+DEFAULT_KEEP = 0.33
 _FAILED_LIMIT = re.compile(r"failed\s*(<=|=)\s*(.+)")
 
 _SCALAR_SCHEMA: dict[str, Any] = {"type": ["number", "string", "boolean"]}
@@ -267,6 +270,12 @@ class OptimiseModel(_Model):
     worst: float | str | None = Field(
         default=None, description="What a failed run counts as: 1 m. Else twice the worst good value, or 0 for a share."
     )
+    first_look: float | str | None = Field(
+        default=None,
+        description="Run each combination on the beginning of the recording first: 15 s. Only the best of these runs "
+        "are followed by one on the whole, and only whole ones answer.",
+    )
+    keep: float | str | None = Field(default=None, description="The share of first looks that are followed: 33%.")
     sampler: SearchSampler = Field(
         default=SearchSampler.MODEL, description="Who chooses the next runs: our model, or Optuna's tpe or nsga2."
     )
@@ -446,6 +455,26 @@ def _optimise(optimise: OptimiseModel, model: ExperimentModel, places: strict_ya
             raise InvalidInput(f"{optimise.within!r} is no share", "write 5%, or 0.05")
         key = "worst"
         worst = None if optimise.worst is None else _amount(optimise.worst, compared)
+        key = "first_look"
+        first_look = None
+        if optimise.first_look is not None:
+            seconds = number(str(optimise.first_look), "s")
+            if seconds is None or not 1 <= seconds <= LONGEST_LOOK_S:
+                raise InvalidInput(
+                    f"{optimise.first_look!r} is no first look", "write 15 s, or another length from 1 s on"
+                )
+            if against:
+                raise InvalidInput(
+                    f"a first look ranks by {compared.key} alone", "leave out against, or leave out first_look"
+                )
+            key = "keep"
+            keep = number(str(DEFAULT_KEEP if optimise.keep is None else optimise.keep), "")
+            if keep is None or not 0.05 <= keep <= 0.9:
+                raise InvalidInput(f"{optimise.keep!r} is no share of first looks to keep", "write 33%, 5% to 90%")
+            first_look = FirstLook(seconds, keep)
+        elif optimise.keep is not None:
+            key = "keep"
+            raise InvalidInput("keep needs first looks", "add first_look: 15 s, or leave out keep")
     except SlamHiveError as error:
         raise at(places.of("optimise", key), error) from None
     return OptimisePlan(
@@ -459,6 +488,7 @@ def _optimise(optimise: OptimiseModel, model: ExperimentModel, places: strict_ya
         against,
         failing,
         optimise.sampler,
+        first_look,
     )
 
 

@@ -13,6 +13,7 @@ from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
 from slamhive.base.errors import InvalidInput
+from slamhive.domain.dataset import Dataset
 from slamhive.runtime.recording import DAMAGE, damaged, reindexing
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "inspect_bag",
     "messages",
     "open_bag",
+    "recording_begin_s",
     "reindexing",
 ]
 
@@ -70,6 +72,12 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
         yield reader
     finally:
         reader.close()
+
+
+def recording_begin_s(dataset: Dataset) -> float:
+    """The time of the first message of a dataset, in s since 1970; raises InvalidInput as :func:`open_bag`."""
+    with open_bag(dataset.bag_path) as reader:
+        return float(reader.start_time) * 1e-9
 
 
 def messages(

@@ -34,7 +34,18 @@ _SECTIONS = {
     "playback": ("mode", "rate"),
     "stop_when": RULES,
     "limits": tuple(option.name for option in options_of(Limits)),
-    "optimise": ("budget", "metric", "against", "limits", "within", "confidence", "worst", "sampler"),
+    "optimise": (
+        "budget",
+        "metric",
+        "against",
+        "limits",
+        "within",
+        "confidence",
+        "worst",
+        "first_look",
+        "keep",
+        "sampler",
+    ),
     "decide": ("budget", "difference", "metric", "error", "worst"),
 }
 EVALUATE_CHOICES: Mapping[str, type[StrEnum]] = {"alignment": Alignment, "trajectory": TrajectoryKind}

@@ -210,6 +210,31 @@ def test_the_model_is_fitted_once_for_the_same_runs(hive: Hive, monkeypatch: pyt
     assert hive.questions.search("many") is first
 
 
+def test_first_looks_rank_and_only_whole_runs_answer(hive: Hive):
+    start(hive, MANY.replace("90 runs", "40 runs, first_look: 1 s, keep: 50%"))
+    assert hive.questions.advance("many") == 48
+    assert hive.questions.search("many").next == "48 runs under way."
+    assert hive.questions.advance("many") == 0
+    looks = [hive.runs.get(run) for run in hive.experiments.unfinished("many")]
+    assert {step.kind for run in looks for step in run.variant} == {"clip"}
+    end(hive, lambda run: 3 * error_m(run), "many")  # as good a ranking, but another error
+    assert hive.questions.search("many").next == "The best of the first looks."
+    assert hive.questions.advance("many") == 24
+    followed = [hive.runs.get(run) for run in hive.experiments.unfinished("many")]
+    assert not any(run.variant for run in followed)
+    assert sorted(map(error_m, followed)) == pytest.approx(sorted(map(error_m, looks))[:24])
+    end(hive, noisy, "many")
+    found = searched(hive, lambda run: 3 * error_m(run) if run.variant else noisy(run))
+    assert found.runs <= 40
+    assert found.first_looks >= 48
+    assert found.words.startswith(f"After {found.runs} runs of 72 and {found.first_looks} first looks, nFeatures 1500")
+    assert found.candidates[0].expected == pytest.approx(0.05, rel=0.1)
+    (ranking,) = hive.experiments.rankings("many")
+    assert not any("first_look" in ranked.cell.values for ranked in (*ranking.best, *ranking.worst))
+    assert ranking.best[0].good is not None
+    assert ranking.best[0].good.mean == pytest.approx(0.05, rel=0.1)
+
+
 def test_optuna_chooses_the_next_runs_where_it_is_asked_to(hive: Hive):
     start(hive, MANY.replace("90 runs", "40 runs, sampler: tpe").replace("10%", "0.1%"))
     hive.questions.advance("many")
@@ -247,6 +272,10 @@ def test_a_metric_where_more_is_better_is_searched_upwards(hive: Hive):
         (MANY.replace("within: 10%", "against: [ate.rmse]"), "ate.rmse is there twice; name each objective once"),
         (MANY.replace("within: 10%", "against: [poses]"), "no direction of .* is better"),
         (MANY.replace("within: 10%", "sampler: cma"), "many.yaml line 5"),
+        (MANY.replace("within: 10%", "first_look: 15 m"), "'15 m' is no first look; write 15 s"),
+        (MANY.replace("within: 10%", "first_look: 600 s"), "the first 600 s are no first look at room, which takes"),
+        (MANY.replace("within: 10%", "first_look: 2 s, against: failed"), "a first look ranks by ate.rmse alone"),
+        (MANY.replace("within: 10%", "keep: 50%"), "keep needs first looks; add first_look: 15 s"),
         (MANY.replace("within: 10%", "limits: [cpu.mean <= 2 m]"), "'2 m' is no value of cpu.mean"),
         (MANY.replace("executor", "decide: {difference: 1 cm, budget: 90 runs}\nexecutor"), "one question"),
     ],

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from slamhive.domain.question import RunBudget
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.experiments.experiment import Experiment, ExperimentCandidate, candidates_of
 from slamhive.experiments.file import parse_experiment
@@ -41,7 +42,7 @@ class QuestionLook:
     """One moment of an experiment.
 
     ``runs``: by cell, in the order in which they were asked for, without those that another replaced. ``asked`` counts
-    them all, and they took ``spent_s`` together.
+    them all, and they took ``spent_s`` together. ``looked`` of them are first looks at a clip.
     """
 
     record: ExperimentRecord
@@ -50,6 +51,7 @@ class QuestionLook:
     runs: Mapping[int, Sequence[ObservedRun]]
     asked: int
     spent_s: float
+    looked: int = 0
 
     @property
     def datasets(self) -> tuple[str, ...]:
@@ -77,12 +79,20 @@ class QuestionLook:
         return [run for run in self.runs.get(cell, ()) if run.use in (RunUse.GOOD, RunUse.FAILED)]
 
     def of(self, candidate: ExperimentCandidate) -> list[ObservedRun]:
-        """The runs of a candidate."""
+        """The runs of a candidate on whole recordings."""
         return [run for cell in candidate.cells.values() for run in self.runs.get(cell, ())]
+
+    def looks_of(self, candidate: ExperimentCandidate) -> list[ObservedRun]:
+        """The first looks at a candidate, each at a clip."""
+        return [run for cell in candidate.looks.values() for run in self.runs.get(cell, ())]
+
+    def runs_left(self, budget: RunBudget) -> int:
+        """Number of further runs on whole recordings. Time counts all runs, so each comes with its first looks."""
+        return budget.runs_left(self.asked - self.looked, self.spent_s)
 
     def hindrance(self, candidate: ExperimentCandidate) -> FailureReason | None:
         """Why the candidate cannot run at all; None if it can."""
-        runs = self.of(candidate)
+        runs = [*self.of(candidate), *self.looks_of(candidate)]
         if any(run.use in (RunUse.GOOD, RunUse.FAILED) for run in runs):
             return None
         return next((run.reason for run in runs if run.use is RunUse.CANNOT_RUN), None)
@@ -97,16 +107,18 @@ def look_at(t: Transaction, record: ExperimentRecord) -> QuestionLook:
     if cells:
         found = t.experiments.cell_runs(record.id, cells[0].number, cells[-1].number, experiment.question_metrics)
     unfinished = set(t.experiments.unfinished(record.id))
-    dataset_of = {cell: dataset for candidate in candidates for dataset, cell in candidate.cells.items()}
-    protocols: dict[str, Counter[str]] = defaultdict(Counter)
+    # A clip may be evaluated otherwise than the whole recording.
+    of_cell = {cell: (dataset, True) for candidate in candidates for dataset, cell in candidate.looks.items()}
+    of_cell |= {cell: (dataset, False) for candidate in candidates for dataset, cell in candidate.cells.items()}
+    protocols: dict[tuple[str, bool], Counter[str]] = defaultdict(Counter)
     for run in found:
         if run.protocol is not None:
-            protocols[dataset_of[run.cell]][run.protocol] += 1
-    usual = {dataset: counts.most_common(1)[0][0] for dataset, counts in protocols.items()}
+            protocols[of_cell[run.cell]][run.protocol] += 1
+    usual = {place: counts.most_common(1)[0][0] for place, counts in protocols.items()}
     runs: dict[int, list[ObservedRun]] = defaultdict(list)
     for run in found:
         if not run.retried:
-            same = run.protocol is None or run.protocol == usual[dataset_of[run.cell]]
+            same = run.protocol is None or run.protocol == usual[of_cell[run.cell]]
             if run.id in unfinished:
                 use = RunUse.OPEN
             elif not same or run.state is RunState.CANCELLED or run.reason is FailureReason.LOST:
@@ -118,4 +130,5 @@ def look_at(t: Transaction, record: ExperimentRecord) -> QuestionLook:
             runs[run.cell].append(
                 ObservedRun(run.id, use, run.state is RunState.CANCELLED, run.reason, dict(run.metrics))
             )
-    return QuestionLook(record, experiment, candidates, runs, len(found), t.experiments.spent_s(record.id))
+    looked = sum(of_cell[run.cell][1] for run in found)
+    return QuestionLook(record, experiment, candidates, runs, len(found), t.experiments.spent_s(record.id), looked)

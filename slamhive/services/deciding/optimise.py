@@ -16,6 +16,7 @@ from slamhive.analysis.adaptive_search import (
     SearchSpace,
     SearchState,
     first_places,
+    promoted,
     search,
 )
 from slamhive.analysis.statistics import Numbers
@@ -86,6 +87,8 @@ class _Seen:
     """Content of a search: the candidates that take part, their runs, and what follows from these.
 
     ``scores``: (runs, metrics), in the order of the runs, infinite for a failed one; it counts as ``worst``.
+    ``looks``: the score of each place that was looked at, on a clip; ``looking`` are those whose first look goes on.
+    The model sees none of them.
     """
 
     plan: OptimisePlan
@@ -98,11 +101,27 @@ class _Seen:
     worst: Numbers
     objectives: tuple[_Objective, ...]
     state: SearchState | None
+    looks: Mapping[int, float] = field(default_factory=dict)
+    looking: frozenset[int] = frozenset()
+
+    @property
+    def promoted(self) -> list[int]:
+        """The places whose first look lets them run on the whole recording, and that have not, the best first."""
+        look = self.plan.first_look
+        had = {*map(int, self.places), *map(int, self.pending)}
+        return [] if look is None else [place for place in promoted(self.looks, look.keep) if place not in had]
+
+    @property
+    def least(self) -> int:
+        """So many runs come first: all those whose first looks are good, where there are such."""
+        most = min(LEAST_SEARCH_RUNS, len(self.candidates))
+        look = self.plan.first_look
+        return most if look is None else max(2, min(most, len(promoted(self.looks, look.keep))))
 
     def fitted(self, runs: int, at_once: int = 1) -> SearchState | None:
         """The model of the first runs; None if they are too few."""
         scores = self.scores[:runs]
-        if len(scores) < min(LEAST_SEARCH_RUNS, len(self.candidates)) or np.isfinite(scores).all(axis=1).sum() < 2:
+        if len(scores) < self.least or np.isfinite(scores).all(axis=1).sum() < 2:
             return None
         pending = len(self.pending) if runs == len(self.scores) else 0
         aim = SearchAim(self.plan.confidence, at_once, FAILED in self.plan.against, self.plan.failing)
@@ -140,7 +159,7 @@ def _see(look: QuestionLook, plan: OptimisePlan, at_once: int) -> _Seen:
         for candidate in look.candidates
         if candidate.values[ALGORITHM] not in broken
         and look.hindrance(candidate) is None
-        and not any(run.cancelled for run in look.of(candidate))
+        and not any(run.cancelled for run in (*look.of(candidate), *look.looks_of(candidate)))
     )
     space, axes = _space(candidates)
     found: list[tuple[int, int, str, tuple[float, ...] | None]] = []
@@ -186,8 +205,26 @@ def _see(look: QuestionLook, plan: OptimisePlan, at_once: int) -> _Seen:
         worst,
         tuple(objectives),
         None,
+        *_first_looks(look, plan, candidates, objectives[0]),
     )
     return replace(seen, state=seen.fitted(len(scores), at_once))
+
+
+def _first_looks(
+    look: QuestionLook, plan: OptimisePlan, candidates: Sequence[ExperimentCandidate], objective: _Objective
+) -> tuple[dict[int, float], frozenset[int]]:
+    """The score of each place on its clip, infinite where that failed, and the places whose first look goes on."""
+    seen: list[tuple[int, str, float]] = []
+    looking: set[int] = set()
+    for place, candidate in enumerate(candidates):
+        for dataset, cell in candidate.looks.items():
+            runs = look.runs.get(cell, ())
+            looking.update(place for run in runs if run.use is RunUse.OPEN)
+            values = [_values(run, plan) for run in look.results(cell)]
+            seen += [(place, dataset, math.nan if value is None else value[0]) for value in values if value != ()]
+    of_clips = np.array([value for _, _, value in seen])
+    scores, _ = _scores(objective, of_clips, np.array([dataset for _, dataset, _ in seen]), None)
+    return {place: float(score) for (place, _, _), score in zip(seen, scores, strict=True)}, frozenset(looking)
 
 
 def _values(run: ObservedRun, plan: OptimisePlan) -> tuple[float, ...] | None:
@@ -251,7 +288,7 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
     plan, state = seen.plan, seen.state
     if not seen.candidates:
         return QuestionAnswer.UNDECIDED, "Undecided: no candidate can run.", {}
-    waiting = len(seen.pending)
+    waiting = len(seen.pending) + len(seen.looking)
     under_way: tuple[QuestionAnswer, str, Mapping[int, int]] = (
         QuestionAnswer.OPEN,
         f"{plural(waiting, 'run')} under way.",
@@ -263,33 +300,70 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
     unproven = [] if state is None else [place for place in state.front if runs[place] < least]
     if near_enough and not unproven and state is not None:
         return under_way if waiting else (QuestionAnswer.BEST, _sentence(look, seen, state), {})
-    left = plan.budget.runs_left(look.asked, look.spent_s)
+    left = look.runs_left(plan.budget)
     room = min(at_once - waiting, left)
     if state is None:
-        good = [run for found in look.runs.values() for run in found if run.use is RunUse.GOOD]
-        lacking = [key for key in plan.metrics if good and not any(key in run.metrics for run in good)]
-        if lacking and not waiting:
-            why = f"Undecided: no run reports {' and '.join(lacking)}. Another metric can be searched for."
-            return QuestionAnswer.UNDECIDED, why, {}
-        missing = LEAST_SEARCH_RUNS - len(seen.scores) - waiting
-        missing = min(max(missing, 0 if waiting else 1), left)
-        if missing < 1:
-            return under_way if waiting else (QuestionAnswer.UNDECIDED, _nothing_good(look, seen), {})
-        order = first_places(len(seen.candidates), int(look.record.uid[:8], 16))
-        new = [int(place) for place in order if not look.of(seen.candidates[place])]
-        chosen = [*new, *map(int, order)][:missing]
-        return QuestionAnswer.OPEN, "The first runs, at random places.", _cells(look, seen, chosen)
+        return _beginning(look, seen, left, under_way)
     if room < 1 or waiting > at_once // 2:
         return under_way if waiting else (QuestionAnswer.UNDECIDED, _sentence(look, seen, state), {})
-    if unproven and (near_enough or left <= len(unproven) + at_once):  # the last runs are for what the answer names
+    proving = unproven and (near_enough or left <= len(unproven) + at_once)
+    if proving:  # the last runs are for what the answer names
         chosen, why = unproven[:room], "it seems to be the best, and has too few runs"
     elif plan.sampler is SearchSampler.MODEL:
         chosen, why = list(state.next[:room]), "each may be the best"
     else:
         chosen, why = _sampled(seen, room), f"as {plan.sampler.value} of Optuna suggests"
+    looks: list[int] = []
+    if plan.first_look is not None and not proving:
+        # A clip may mislead: of those that the model wants although their looks are behind, one runs in each step.
+        looks = [
+            place for place in dict.fromkeys(chosen) if not runs[place] and not look.looks_of(seen.candidates[place])
+        ]
+        again = [place for place in chosen if runs[place]]
+        behind = [place for place in chosen if not runs[place] and place not in {*looks, *seen.looking, *seen.promoted}]
+        behind.sort(key=lambda place: seen.looks.get(place, math.inf))
+        chosen = [*seen.promoted, *behind[:1], *again][:room]
+        why += ", or has the best of the first looks"
     counts = Counter(chosen).most_common()
     words = "; ".join(f"{seen.candidates[place].label} ({plural(count, 'run')})" for place, count in counts)
-    return QuestionAnswer.OPEN, f"{words}: {why}.", _cells(look, seen, chosen)
+    words = f"{words}: {why}." if counts else ""
+    if looks and plan.first_look is not None:
+        names = "; ".join(seen.candidates[place].label for place in looks)
+        words = f"{words} First looks, {plan.first_look.words} each, at {names}.".lstrip()
+    more = _cells(look, seen, looks, looks=True) if looks else {}
+    return QuestionAnswer.OPEN, words, more | _cells(look, seen, chosen)
+
+
+_Outcome = tuple[QuestionAnswer, str, Mapping[int, int]]
+
+
+def _beginning(look: QuestionLook, seen: _Seen, left: int, under_way: _Outcome) -> _Outcome:
+    """The first looks and the first runs, before anything can be said of those that have not run."""
+    plan, waiting = seen.plan, len(seen.pending) + len(seen.looking)
+    good = [run for found in look.runs.values() for run in found if run.use is RunUse.GOOD]
+    lacking = [key for key in plan.metrics if good and not any(key in run.metrics for run in good)]
+    if lacking and not waiting:
+        why = f"Undecided: no run reports {' and '.join(lacking)}. Another metric can be searched for."
+        return QuestionAnswer.UNDECIDED, why, {}
+    order = first_places(len(seen.candidates), int(look.record.uid[:8], 16))
+    if plan.first_look is not None and left > 0:
+        wanted = [int(place) for place in order[: math.ceil(LEAST_SEARCH_RUNS / plan.first_look.keep)]]
+        unseen = [place for place in wanted if not look.looks_of(seen.candidates[place])]
+        if unseen:
+            words = f"First looks, {plan.first_look.words} each, at random places."
+            return QuestionAnswer.OPEN, words, _cells(look, seen, unseen, looks=True)
+        if seen.looking:
+            return under_way
+    first = LEAST_SEARCH_RUNS if plan.first_look is None else seen.least
+    missing = first - len(seen.scores) - waiting
+    missing = min(max(missing, 0 if waiting else 1), left)
+    if missing < 1:
+        return under_way if waiting else (QuestionAnswer.UNDECIDED, _nothing_good(look, seen), {})
+    new = [int(place) for place in order if not look.of(seen.candidates[place])]
+    chosen = list(dict.fromkeys([*seen.promoted, *new]))
+    chosen = [*chosen, *map(int, order)][:missing]
+    words = "The first runs, at random places." if plan.first_look is None else "The best of the first looks."
+    return QuestionAnswer.OPEN, words, _cells(look, seen, chosen)
 
 
 def _sampled(seen: _Seen, room: int) -> list[int]:
@@ -299,11 +373,12 @@ def _sampled(seen: _Seen, room: int) -> list[int]:
     return list(suggested(seen.plan.sampler, seen.space, seen.places, scores, room, seen.pending))
 
 
-def _cells(look: QuestionLook, seen: _Seen, chosen: Sequence[int]) -> dict[int, int]:
-    """The runs by cell: each candidate runs where it has the fewest runs."""
+def _cells(look: QuestionLook, seen: _Seen, chosen: Sequence[int], *, looks: bool = False) -> dict[int, int]:
+    """The runs by cell: each candidate runs where it has the fewest runs. ``looks``: on clips."""
     more: Counter[int] = Counter()
     for turn, place in enumerate(chosen):
-        cells = list(seen.candidates[place].cells.values())
+        candidate = seen.candidates[place]
+        cells = list((candidate.looks if looks else candidate.cells).values())
         turned = [cells[(turn + step) % len(cells)] for step in range(len(cells))]
         more[min(turned, key=lambda cell: len(look.runs.get(cell, ())) + more[cell])] += 1
     return dict(more)
@@ -314,7 +389,9 @@ def _sentence(look: QuestionLook, seen: _Seen, state: SearchState) -> str:
     plan, first = seen.plan, seen.objectives[0]
     share = f"{100 * seen.share(state.gap):.2g} %"
     confidence = f"at {100 * plan.confidence:.4g} % confidence"
-    spent = f"After {look.asked} runs of {look.combinations}"
+    spent = f"After {look.asked - look.looked} runs of {look.combinations}"
+    if plan.first_look is not None:
+        spent += f" and {plural(look.looked, 'first look')}"
     ends = {state.front[0]: None} | {
         min(state.front, key=lambda place: float(state.scores[place, column])): None
         for column in range(1, len(seen.objectives))
@@ -355,7 +432,7 @@ def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
                 f"Undecided: no run kept {limit.metric} {sign} {limit.value:.4g} {unit}; the nearest is {label} with "
                 f"{nearest:.4g}."
             )
-    return f"Undecided: fewer than two of {plural(look.asked, 'run')} were good."
+    return f"Undecided: fewer than two of {plural(look.asked - look.looked, 'run')} were good."
 
 
 def _standing(look: QuestionLook, seen: _Seen, answer: QuestionAnswer, words: str) -> SearchStanding:
@@ -409,7 +486,8 @@ def _standing(look: QuestionLook, seen: _Seen, answer: QuestionAnswer, words: st
         gap=None if state is None else seen.share(state.gap),
         expected_gain=None if state is None else seen.share(state.expected_gap),
         budget=plan.budget.words,
-        runs=look.asked,
+        runs=look.asked - look.looked,
+        first_looks=look.looked,
         combinations=look.combinations,
         datasets=look.datasets,
         candidates=tuple(_leading(look, seen)),

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from slamhive.documents.experiment import Certainty, DatasetAnswerDocument, ExperimentAnswerDocument
 from slamhive.domain.names import mean_and_std, plural
 from slamhive.domain.parameters import Value
+from slamhive.experiments.experiment import FIRST_LOOK
 from slamhive.services.experiments.ranking import RankEntries, RankEntry, SeparationTest
 from slamhive.store.records import ExperimentRecord
 
@@ -53,7 +54,9 @@ def question(description: str, axes: Mapping[str, Sequence[Value]]) -> str:
         return asked[0].replace("\n", " ").rpartition(". ")[2].strip() + "?"
     algorithms, datasets = ([str(value) for value in axes.get(name, ())] for name in ("algorithm", "dataset"))
     where = f" on {datasets[0]}" if len(datasets) == 1 else f" on {len(datasets)} datasets" if datasets else ""
-    varied = [axis for axis, values in axes.items() if len(values) > 1 and axis not in ("algorithm", "dataset")]
+    varied = [
+        axis for axis, values in axes.items() if len(values) > 1 and axis not in ("algorithm", "dataset", FIRST_LOOK)
+    ]
     if len(algorithms) > 1:
         few = len(algorithms) <= MOST_NAMED
         which = f"of {_listed(algorithms)}" if few else f"of {len(algorithms)} algorithms"
@@ -67,7 +70,11 @@ def question(description: str, axes: Mapping[str, Sequence[Value]]) -> str:
 def _names(table: AxisTable, by: str) -> dict[int, str]:
     """{cell: its algorithm, or the values that distinguish its configuration}."""
     axes = ["algorithm"] if by == "algorithm" else [*table.axes]
-    axes = [axis for axis in axes if axis != "dataset" and (by == "algorithm" or len(table.values[axis]) > 1)]
+    axes = [
+        axis
+        for axis in axes
+        if axis not in ("dataset", FIRST_LOOK) and (by == "algorithm" or len(table.values[axis]) > 1)
+    ]
     texts = {}
     for place, number in enumerate(table.numbers.tolist()):
         values = {axis: table.values[axis][int(table.codes[axis][place])] for axis in axes}

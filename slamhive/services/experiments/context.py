@@ -76,6 +76,7 @@ class ExperimentContext:
         # Lists and reports expand nothing. They need no steps of variants, and those load OpenCV.
         from slamhive.experiments.binding import CatalogueView, at  # noqa: PLC0415
         from slamhive.experiments.expansion import expand  # noqa: PLC0415
+        from slamhive.recordings.reader import recording_begin_s  # noqa: PLC0415
         from slamhive.recordings.variants.steps import RegisteredSteps  # noqa: PLC0415
         from slamhive.services.configurations import find_map  # noqa: PLC0415
         from slamhive.services.experiments.views import to_fetch, unfetched  # noqa: PLC0415
@@ -101,6 +102,7 @@ class ExperimentContext:
             datasets | dict(assumed or {}),
             RegisteredSteps(),
             lambda reference, algorithm: find_map(self.store, self.settings.runs_folder, reference, algorithm).map,
+            recording_begin_s,
         )
         return expand(experiment, view)
 

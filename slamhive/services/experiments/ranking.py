@@ -11,6 +11,7 @@ from typing import Any
 
 from slamhive.domain.parameters import Value
 from slamhive.domain.verdict import Outcome
+from slamhive.experiments.experiment import FIRST_LOOK
 from slamhive.services.experiments.progress import METRICS, AxisTable, CellCounts
 from slamhive.services.experiments.views import Cell, CellFigures
 from slamhive.store import RunRecord, Transaction
@@ -134,10 +135,14 @@ def rankings(
 
 
 def entries_by_dataset(t: Transaction, record: ExperimentRecord, table: AxisTable) -> dict[str, RankEntries]:
-    """The configurations on each dataset, without their runs."""
+    """The configurations on each dataset, without their runs and without first looks at clips."""
     codes = table.codes.get("dataset")
     if codes is None:
         return {}
+    if FIRST_LOOK in table.codes:
+        whole = table.values[FIRST_LOOK].index(None)
+        codes = codes.copy()
+        codes[table.codes[FIRST_LOOK] != whole] = -1
     samples: dict[int, list[CellSample]] = defaultdict(list)
     for sample in t.experiment_values.samples(record.id, RANKED_BY):
         samples[sample.cell].append(sample)

@@ -80,6 +80,7 @@ def facts(found: Decision | SearchStanding) -> list[tuple[str, str]]:
         ("A run must keep", ", ".join(found.limits)),
         ("Near enough", f"{found.within:.3g} of the best, at {found.confidence:.1%} confidence"),
         ("Runs", f"{thousands(found.runs)} of {thousands(found.combinations)}; budget {found.budget}"),
+        *([("First looks at a clip", thousands(found.first_looks))] if found.first_looks else []),
         ("Going on may gain", "" if found.expected_gain is None else f"{found.expected_gain:.1%} on average"),
         *(
             (
