@@ -227,12 +227,12 @@ def test_first_looks_rank_and_only_whole_runs_answer(hive: Hive):
     found = searched(hive, lambda run: 3 * error_m(run) if run.variant else noisy(run))
     assert found.runs <= 40
     assert found.first_looks >= 48
-    assert found.words.startswith(f"After {found.runs} runs of 72 and {found.first_looks} first looks, nFeatures 1500")
-    assert found.candidates[0].expected == pytest.approx(0.05, rel=0.1)
+    assert found.words.startswith(f"After {found.runs} runs of 72 and {found.first_looks} first looks, nFeatures ")
+    assert found.candidates[0].expected < 0.1 < 3 * 0.05, "no clip is better than 15 cm"
     (ranking,) = hive.experiments.rankings("many")
     assert not any("first_look" in ranked.cell.values for ranked in (*ranking.best, *ranking.worst))
     assert ranking.best[0].good is not None
-    assert ranking.best[0].good.mean == pytest.approx(0.05, rel=0.1)
+    assert ranking.best[0].good.mean < 0.1
 
 
 def test_optuna_chooses_the_next_runs_where_it_is_asked_to(hive: Hive):
