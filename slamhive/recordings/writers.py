@@ -163,7 +163,7 @@ class BagWriter:
             is_bigendian=False,
             point_step=points.dtype.itemsize,
             row_step=points.dtype.itemsize * len(points),
-            data=np.frombuffer(points.tobytes(), dtype=np.uint8),
+            data=np.ascontiguousarray(points).view(np.uint8),
             is_dense=True,
         )
         self._write(sensor.topic, POINTS, received_ns, message)

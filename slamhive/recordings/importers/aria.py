@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, NonNegativeInt
-from scipy.optimize import least_squares
 
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
@@ -215,6 +214,8 @@ def nearest_fisheye(camera: AriaCamera, rays: Array) -> tuple[CameraIntrinsics, 
         return errors
 
     centre = ((camera.width - 1) / 2, (camera.height - 1) / 2)
+    from scipy.optimize import least_squares  # noqa: PLC0415 - loads slower than all importers together
+
     fitted = least_squares(residuals, [camera.focal_px, camera.focal_px, *centre, 0.0, 0.0, 0.0, 0.0], x_scale="jac")
     fx, fy, cx, cy, *coefficients = (float(number) for number in fitted.x)
     apart_px = np.linalg.norm(residuals(fitted.x).reshape(-1, 2), axis=1)

@@ -36,6 +36,11 @@ _FILE_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", 
 _POINT = np.dtype([*_FILE_POINT.descr, ("ring", "<u2"), ("time", "<f4")])
 _RINGS, _COLUMNS, _SWEEP_S = 64, 1024, 0.1
 _SCAN_BYTES = _RINGS * _COLUMNS * _FILE_POINT.itemsize
+_AS_IN_FILE = np.dtype({"names": ["point"], "formats": ["V16"], "offsets": [0], "itemsize": _POINT.itemsize})
+_EMPTY_SCAN = np.zeros(_RINGS * _COLUMNS, dtype=_POINT)
+"""A scan with ring and time of each point. The first 16 bytes of a point are those of a file, and copied as one."""
+_EMPTY_SCAN["ring"] = np.arange(len(_EMPTY_SCAN)) % _RINGS
+_EMPTY_SCAN["time"] = np.arange(len(_EMPTY_SCAN)) // _RINGS * (_SWEEP_S / _COLUMNS)
 _IMU_COLUMNS = 17
 """Earlier files have eight columns: orientations only."""
 
@@ -105,12 +110,8 @@ def _read_scan(path: Path) -> Array:
     raw = read_records(path, _FILE_POINT)
     if raw.nbytes != _SCAN_BYTES:
         raise InvalidInput(f"{path} has {raw.nbytes} bytes, not {_SCAN_BYTES}", "copy or download the file again")
-    points: Array = np.zeros(len(raw), dtype=_POINT)
-    for name in _FILE_POINT.names or ():
-        points[name] = raw[name]
-    numbers = np.arange(len(raw))
-    points["ring"] = numbers % _RINGS
-    points["time"] = numbers // _RINGS * (_SWEEP_S / _COLUMNS)
+    points: Array = _EMPTY_SCAN.copy()
+    points.view(_AS_IN_FILE)["point"] = raw.view("V16")
     return points
 
 

@@ -41,6 +41,7 @@ _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"
 _SCALE_M, _OFFSET_M = 0.005, -100.0
 _UP = np.diag([1.0, -1.0, -1.0])
 _LIDAR_POSITION_M, _LIDAR_ANGLES_DEG = (0.002, -0.004, -0.957), (0.807, 0.166, -90.703)
+_T_nclt_lidar = transform(rotation_xyz(*np.deg2rad(_LIDAR_ANGLES_DEG)), list(_LIDAR_POSITION_M))
 _FIRST_FIX = 2
 """The least ``mode`` of a row of ``gps.csv`` with a position."""
 
@@ -89,19 +90,19 @@ def _lidar(folder: Path) -> PlannedStream:
     """The HDL-32E; with the timestamp of a scan as its middle, poses of scans without times belong to the timestamp."""
     times_ns, paths = timed_files(folder, ".bin", _NS_PER_US)
     layout = LidarLayout(PointTimes(scan_duration_s=0.1, stamp=SweepInstant.MIDDLE), beams=32, maximum_range_m=100.0)
-    T_body_lidar = transform(_UP, [0.0, 0.0, 0.0]) @ _T_nclt_lidar() @ transform(_UP, [0.0, 0.0, 0.0])
+    T_body_lidar = transform(_UP, [0.0, 0.0, 0.0]) @ _T_nclt_lidar @ transform(_UP, [0.0, 0.0, 0.0])
     sensor = Sensor("lidar0", SensorKind.LIDAR, "/points", rate_hz(times_ns), flat(T_body_lidar), layout.calibration())
     return point_stream(sensor, times_ns, paths, _read_scan, _POINT.itemsize / _FILE_POINT.itemsize)
 
 
 def _read_scan(path: Path) -> Array:
+    """The points in the LiDAR's frame, x forward and z up. Arrays hold one axis after the other, which is fastest."""
     hits = read_records(path, _FILE_POINT)
-    points: Array = np.zeros(len(hits), dtype=_POINT)
-    T_nclt_lidar = _T_nclt_lidar()
-    body_m = np.column_stack([hits[axis] * _SCALE_M + _OFFSET_M for axis in "xyz"])
-    lidar_m = (body_m - T_nclt_lidar[:3, 3]) @ T_nclt_lidar[:3, :3] @ _UP
-    for number, axis in enumerate("xyz"):
-        points[axis] = lidar_m[:, number]
+    body_m = np.stack([hits[axis] for axis in "xyz"]) * _SCALE_M
+    body_m += _OFFSET_M
+    body_m -= _T_nclt_lidar[:3, 3:]
+    points: Array = np.empty(len(hits), dtype=_POINT)
+    points["x"], points["y"], points["z"] = (_T_nclt_lidar[:3, :3] @ _UP).T @ body_m
     points["intensity"], points["laser"] = hits["intensity"], hits["laser"]
     return points
 
@@ -172,10 +173,6 @@ def _finite_rows(rows: TimedList, start: int, count: int) -> TimedList:
 def _T_body(position_m: tuple[float, float, float], angles_deg: tuple[float, float, float]) -> Matrix4:
     T_nclt = transform(rotation_xyz(*np.deg2rad(angles_deg)), list(position_m))
     return flat(transform(_UP, [0.0, 0.0, 0.0]) @ T_nclt)
-
-
-def _T_nclt_lidar() -> Array:
-    return transform(rotation_xyz(*np.deg2rad(_LIDAR_ANGLES_DEG)), list(_LIDAR_POSITION_M))
 
 
 def _text(source: Path) -> DatasetText:
