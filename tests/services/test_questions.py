@@ -138,7 +138,9 @@ def test_failed_runs_count_as_worst(hive: Hive):
     play(hive, lambda run: 0.05 if run.parameters["nFeatures"] == 1000 else FailureReason.LOST_TRACKING)
     found = hive.questions.decision("two")
     assert (found.answer, found.candidates[0].label) == (QuestionAnswer.BEST, "nFeatures 1000")
-    assert found.candidates[1].failed == found.candidates[1].runs > 0
+    failed = found.candidates[1].failed
+    assert failed == found.candidates[1].runs > 0
+    assert found.notes == (f"nFeatures 2000: {failed} of {failed} runs failed: lost tracking {failed}.",)
 
 
 def test_lost_and_cancelled_runs_are_replaced_and_said(hive: Hive):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -229,7 +230,19 @@ def _notes(look: QuestionLook) -> list[str]:
         reason = look.hindrance(candidate)
         if reason is not None:
             notes.append(f"{candidate.label} is set aside, because it cannot run: {reason.value.replace('_', ' ')}.")
+        failures = Counter(run.failure for run in look.of(candidate) if run.failure is not None)
+        if failures:
+            why = ", ".join(f"{word} {count}" for word, count in failures.most_common())
+            notes.append(
+                f"{candidate.label}: {failures.total()} of {plural(len(look.of(candidate)), 'run')} failed: {why}."
+            )
     runs = [run for of_cell in look.runs.values() for run in of_cell]
+    disturbed = sum(run.disturbed for run in runs)
+    if disturbed:
+        notes.append(
+            f"{disturbed} of {plural(len(runs), 'run')} ran on a disturbed machine, where frames may be lost. "
+            "Stop other programs, or play in sequence (playback: {mode: sequential})."
+        )
     cancelled = sum(run.cancelled for run in runs)
     lost = sum(run.use is RunUse.NOTHING and not run.cancelled for run in runs)
     if cancelled:

@@ -28,13 +28,18 @@ class RunUse(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ObservedRun:
-    """A run of a candidate; ``metrics`` under the protocol of most runs on its dataset."""
+    """A run of a candidate; ``metrics`` under the protocol of most runs on its dataset.
+
+    ``failure`` is why it counts as failed, in words; None for another run.
+    """
 
     id: int
     use: RunUse
     cancelled: bool
     reason: FailureReason | None
     metrics: Mapping[str, float]
+    disturbed: bool = False
+    failure: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +132,19 @@ def look_at(t: Transaction, record: ExperimentRecord) -> QuestionLook:
                 use = RunUse.CANNOT_RUN if run.reason is not None and run.reason.before_start else RunUse.FAILED
             else:
                 use = RunUse.FAILED if run.judged is not None and run.judged.failed else RunUse.GOOD
+            failure = None
+            if use is RunUse.FAILED:
+                failure = (run.reason or run.judged or use).value.replace("_", " ")
             runs[run.cell].append(
-                ObservedRun(run.id, use, run.state is RunState.CANCELLED, run.reason, dict(run.metrics))
+                ObservedRun(
+                    run.id,
+                    use,
+                    run.state is RunState.CANCELLED,
+                    run.reason,
+                    dict(run.metrics),
+                    disturbed=bool(run.disturbed),
+                    failure=failure,
+                )
             )
     looked = sum(of_cell[run.cell][1] for run in found)
     return QuestionLook(record, experiment, candidates, runs, len(found), t.experiments.spent_s(record.id), looked)
