@@ -219,7 +219,12 @@ class _Paper:
         for key in section:
             if key not in _FORMS and key not in _IGNORED_FORMS and not key.startswith("9_"):
                 raise InvalidInput(f"{self._places.of(MARK, key)}: {unknown('form', key, list(_FORMS)).message}")
-        wanted = [key for key in _FORMS if self._is_chosen(self.chosen(MARK, key), key)]
+        wanted: list[str] = []
+        for key in _FORMS:
+            choose = self.chosen(MARK, key).get("choose", 0)
+            if choose not in (0, 1):
+                raise self._error((MARK, key, "choose"), "must be 0 or 1", choose)
+            wanted += [key] if choose else []
         if not wanted:
             raise InvalidInput(f"{self._places.of(MARK)}: nothing has choose: 1", "set it for at least one entry")
         for key in wanted:
@@ -342,12 +347,6 @@ class _Paper:
         if not isinstance(value, str) or not value:
             raise self._error((*path, name), "names a metric or a parameter", value)
         return our_key(value)
-
-    def _is_chosen(self, section: Mapping[str, Any], key: str) -> bool:
-        choose = section.get("choose", 0)
-        if choose not in (0, 1):
-            raise self._error((MARK, key, "choose"), "must be 0 or 1", choose)
-        return bool(choose)
 
     def _numbers(self, section: Mapping[str, Any], key: str, least: int = 1) -> list[int]:
         values = section.get(key) or []

@@ -374,28 +374,26 @@ def _bars(mark: Bars, chart: Chart) -> list[Json]:
         turned = {"textangle": -90} if many else {}
         trace |= {"text": trace["hovertext"], "textposition": "outside", "cliponaxis": False, **turned}
     trace |= _error_bars(mark.heights, mark.low, mark.high)
-    return [trace] if mark.medians is None else [trace | {"offsetgroup": trace["name"]}, _medians(mark, trace)]
-
-
-def _medians(mark: Bars, bars: Json) -> Json:
-    """Thin bars at the medians, in the same legend group as the bars."""
-    medians = np.zeros(0) if mark.medians is None else mark.medians
+    if mark.medians is None:
+        return [trace]
+    # Thin bars at the medians, in the same legend group as the bars.
     tops = mark.heights if mark.high is None else mark.high
     thick = _MEDIAN_SHARE * float(np.nanmax(tops, initial=0.0, where=np.isfinite(tops)))
-    return {
+    medians: Json = {
         "type": "bar",
-        "name": bars["name"],
-        "legendgroup": bars["legendgroup"],
-        "offsetgroup": bars["name"],
+        "name": trace["name"],
+        "legendgroup": trace["legendgroup"],
+        "offsetgroup": trace["name"],
         "showlegend": False,
-        "x": bars["x"],
-        "y": numbers(np.where(np.isfinite(medians), thick, np.nan)),
-        "base": numbers(medians - thick / 2),
+        "x": trace["x"],
+        "y": numbers(np.where(np.isfinite(mark.medians), thick, np.nan)),
+        "base": numbers(mark.medians - thick / 2),
         "marker": {"color": colour_of_mark(REFERENCE)},
-        "customdata": numbers(medians),
+        "customdata": numbers(mark.medians),
         "hovertemplate": "median %{customdata:.4g}<extra></extra>",
         **meta_of(REFERENCE),
     }
+    return [trace | {"offsetgroup": trace["name"]}, medians]
 
 
 def _boxes(mark: Boxes, _chart: Chart) -> list[Json]:
@@ -506,23 +504,17 @@ def plotly_figure(chart: Chart) -> Json:
     drawn = thinned(chart)
     data = [trace for mark in drawn.marks for trace in traces_of(mark, drawn)]
     figure = with_dark_colours({"data": data, "layout": _layout(drawn)})
-    return figure | {"zoom": _zoom(chart, drawn)} if any(isinstance(m, Density) for m in drawn.marks) else figure
-
-
-def _zoom(chart: Chart, drawn: Chart) -> Json:
-    """All points: the page draws them where a visitor has zoomed into a part with few points. One trace per mark.
-
-    ``first`` is the index of the first of these traces in the data, after the same number of densities.
-    """
+    densities = sum(isinstance(mark, Density) for mark in drawn.marks)
+    if not densities:
+        return figure
+    # All points, one trace for each mark: the page draws them where a visitor has zoomed into a part with few points.
+    # They come after the densities in the data.
     clouds = [mark for mark in chart.marks if isinstance(mark, Points) and len(mark.x)]
-    return {
-        "most": SINGLE_MOST,
-        "first": sum(isinstance(mark, Density) for mark in drawn.marks),
-        "points": [
-            {"x": numbers(mark.x), "y": numbers(mark.y)} | ({} if mark.runs is None else {"runs": numbers(mark.runs)})
-            for mark in clouds
-        ],
-    }
+    points = [
+        {"x": numbers(mark.x), "y": numbers(mark.y)} | ({} if mark.runs is None else {"runs": numbers(mark.runs)})
+        for mark in clouds
+    ]
+    return figure | {"zoom": {"most": SINGLE_MOST, "first": densities, "points": points}}
 
 
 def _layout(chart: Chart) -> Json:

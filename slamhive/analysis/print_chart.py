@@ -363,7 +363,11 @@ def print_chart(chart: Chart, ending: str, font: Font | None = None) -> bytes:
         buffer = io.BytesIO()
         metadata = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(file_format)
         figure.savefig(buffer, format=file_format, dpi=DOTS_PER_INCH, metadata=metadata)
-    return _numbered_clips(buffer.getvalue()) if file_format == "svg" else buffer.getvalue()
+    if file_format != "svg":
+        return buffer.getvalue()
+    # The clipping areas get numbers: matplotlib names them by a hash of all digits of their coordinates.
+    names: dict[bytes, bytes] = {}
+    return _CLIP_NAME.sub(lambda found: names.setdefault(found[0], b"clip%d" % len(names)), buffer.getvalue())
 
 
 def _captioned(chart: Chart, sheet: _Sheet) -> Figure:
@@ -389,12 +393,6 @@ def _bare(chart: Chart, sheet: _Sheet) -> Figure:
     around_inches = float(sum(box.height for box in boxes)) / figure.dpi
     figure.set_size_inches(sheet.width, sheet.height * chart.height + around_inches)
     return figure
-
-
-def _numbered_clips(svg: bytes) -> bytes:
-    """Number the clipping areas: matplotlib names them by a hash of all digits of their coordinates."""
-    names: dict[bytes, bytes] = {}
-    return _CLIP_NAME.sub(lambda found: names.setdefault(found[0], b"clip%d" % len(names)), svg)
 
 
 def _draw(figure: SubFigure, chart: Chart, sheet: _Sheet) -> None:

@@ -135,11 +135,15 @@ def compare_samples(
     counts, variances = (first[0], second[0]), (first[2], second[2])
     difference = first[1] - second[1]
     half_width = _half_width(variances, counts, confidence)
+    error, freedom = _standard_error(variances, counts)
+    p_value = 0.0 if difference else 1.0  # of samples that do not vary
+    if error:
+        p_value = 2 * float(scipy.special.stdtr(freedom, -abs(difference) / error))
     return Comparison(
         difference,
         Interval(difference - half_width, difference + half_width),
         half_width < abs(difference),
-        _p_value(difference, variances, counts),
+        p_value,
         _repeats(abs(difference), variances, confidence),
     )
 
@@ -159,13 +163,6 @@ def _half_width(variances: tuple[float, float], counts: tuple[int, int], confide
     """Half of Welch's interval. scipy has it for samples alone; here also for repeats that are yet to be made."""
     error, freedom = _standard_error(variances, counts)
     return float(scipy.special.stdtrit(freedom, (1 + confidence) / 2)) * error if error else 0.0
-
-
-def _p_value(difference: float, variances: tuple[float, float], counts: tuple[int, int]) -> float:
-    error, freedom = _standard_error(variances, counts)
-    if not error:
-        return 0.0 if difference else 1.0
-    return 2 * float(scipy.special.stdtr(freedom, -abs(difference) / error))
 
 
 def _standard_error(variances: tuple[float, float], counts: tuple[int, int]) -> tuple[float, float]:
@@ -515,19 +512,18 @@ class _Design:
     def fit(self, terms: Sequence[Term]) -> _Fit:
         """The fit of an intercept and ``terms``, which may be collinear."""
         key = frozenset(terms)
-        if key not in self._fits:
-            self._fits[key] = self._solve(terms)
-        return self._fits[key]
-
-    def _solve(self, terms: Sequence[Term]) -> _Fit:
-        if self.total == 0:
-            return _Fit(0.0, 1)
-        columns = np.concatenate([[0], *(self._columns[term] for term in terms)]).astype(np.intp)
-        weights, vectors = np.linalg.eigh(self._gram[np.ix_(columns, columns)])
-        kept = weights > _RELATIVE_ZERO * weights[-1]
-        along = vectors[:, kept].T @ self._moments[columns]
-        residual = self.total - float((along**2 / weights[kept]).sum())
-        return _Fit(residual if residual > _RELATIVE_ZERO * self.total else 0.0, int(kept.sum()))
+        if key in self._fits:
+            return self._fits[key]
+        fit = _Fit(0.0, 1)
+        if self.total != 0:
+            columns = np.concatenate([[0], *(self._columns[term] for term in terms)]).astype(np.intp)
+            weights, vectors = np.linalg.eigh(self._gram[np.ix_(columns, columns)])
+            kept = weights > _RELATIVE_ZERO * weights[-1]
+            along = vectors[:, kept].T @ self._moments[columns]
+            residual = self.total - float((along**2 / weights[kept]).sum())
+            fit = _Fit(residual if residual > _RELATIVE_ZERO * self.total else 0.0, int(kept.sum()))
+        self._fits[key] = fit
+        return fit
 
 
 def _share(design: _Design, term: Term, noise: float | None) -> float | None:

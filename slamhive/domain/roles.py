@@ -143,7 +143,16 @@ def remaps_of(
 
     Raises InvalidInput if two roles would be played on one topic.
     """
-    remaps = [_remap(topics.get(role, TopicOf(role)), topic, values) for role, topic in recorded.items()]
+    remaps: list[Remap] = []
+    for role, topic in recorded.items():
+        said = topics.get(role, TopicOf(role))
+        if said.parameter is not None:
+            through = f"parameter {said.parameter}"
+        elif said.argument is not None:
+            through = f"launch argument {said.argument}"
+        else:
+            through = "fixed in the package" if said.fixed else "topic of the role"
+        remaps.append(Remap(said.role, topic, said.seen(values) or said.default, through))
     owners: dict[str, str] = {}
     for entry in remaps:
         other = owners.setdefault(entry.seen, entry.role)
@@ -152,14 +161,3 @@ def remaps_of(
                 f"{owner} would get {other} and {entry.role} on one topic, {entry.seen}", "give each a topic of its own"
             )
     return tuple(remaps)
-
-
-def _remap(topic: TopicOf, recorded: str, values: Mapping[str, object]) -> Remap:
-    seen = topic.seen(values) or topic.default
-    if topic.parameter is not None:
-        through = f"parameter {topic.parameter}"
-    elif topic.argument is not None:
-        through = f"launch argument {topic.argument}"
-    else:
-        through = "fixed in the package" if topic.fixed else "topic of the role"
-    return Remap(topic.role, recorded, seen, through)

@@ -89,7 +89,7 @@ class Web:
         import requests  # noqa: PLC0415 - importing it takes 50 ms, and few commands download
 
         self._session = requests.Session()
-        self._session.auth = _no_password
+        self._session.auth = lambda request: request  # instead of the passwords of ``~/.netrc``, which would be sent
         self._session.headers.update({"User-Agent": f"slamhive/{__version__}", "Accept-Encoding": "identity"})
         self._timeouts = timeouts
         self._token = token
@@ -169,11 +169,6 @@ def explained(address: str) -> Iterator[None]:
         raise Interrupted(f"{host} cannot be reached: {_cause(error)}") from None
     except (requests.exceptions.RequestException, urllib3.exceptions.HTTPError) as error:
         raise Interrupted(f"{host} breaks off: {_cause(error)}") from None
-
-
-def _no_password(request: Any) -> Any:
-    """Stands in for the passwords of ``~/.netrc``, which requests would send."""
-    return request
 
 
 def _wait_s(text: str | None) -> float | None:

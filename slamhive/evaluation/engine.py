@@ -128,6 +128,13 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
             return failed_result(task, f"{key}: {reason}", ENGINE, poses=poses, matched_poses=matched_poses)
     except InvalidInput as error:
         return failed_result(task, str(error), ENGINE, poses=poses, matched_poses=matched_poses)
+    hints: tuple[Hint, ...] = ()
+    if paired is not None:
+        # An evaluation does not fail because the search for likely mistakes in its input does.
+        try:
+            hints = find_hints(paired, found.values)
+        except (InvalidInput, ArithmeticError, np.linalg.LinAlgError) as error:
+            logger.warning("no hints can be found: %s", error)
     result = EvaluationResult(
         id=task.id,
         fingerprint=task.protocol.fingerprint,
@@ -137,7 +144,7 @@ def evaluate(task: EvaluationTask, references: References) -> Evaluated | Evalua
         matched_poses=matched_poses,
         engine=ENGINE,
         missing=dict(found.missing),
-        hints=() if paired is None else _hints(paired, found.values),
+        hints=hints,
     )
     return Evaluated(result, paired, found.archives)
 
@@ -166,15 +173,6 @@ def _finite(found: MetricValues) -> MetricValues:
     values = {key: float(value) for key, value in found.values.items() if math.isfinite(value)}
     missing = {key: TOO_FAR_OFF for key in found.values if key not in values} | dict(found.missing)
     return MetricValues(values, missing, found.archives)
-
-
-def _hints(paired: Paired, values: Mapping[str, float]) -> tuple[Hint, ...]:
-    """Likely mistakes in the input. An evaluation does not fail because the search for them does."""
-    try:
-        return find_hints(paired, values)
-    except (InvalidInput, ArithmeticError, np.linalg.LinAlgError) as error:
-        logger.warning("no hints can be found: %s", error)
-        return ()
 
 
 def _read_estimate(task: EvaluationTask) -> Trajectory:

@@ -6,7 +6,7 @@ Little is tried on a pair that looks right, so this costs a few per cent of an e
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -142,7 +142,9 @@ def mistaken_convention(fit: Fit) -> Hint | None:
     alike = [
         entry for entry in explained if entry.mistake.key == best.mistake.key and entry.left <= AMBIGUOUS * best.left
     ]
-    entries = [min(same, key=lambda entry: entry.left) for same in _by_owner(alike)]
+    # The best one of the estimate, then the best one of the ground truth, where there are any.
+    owned = [[entry for entry in alike if entry.of_truth is of_truth] for of_truth in (False, True)]
+    entries = [min(same, key=lambda entry: entry.left) for same in owned if same]
     owners = " or ".join(_OWNERS[entry.of_truth] for entry in entries)
     remedies = [(entry.mistake.truth_remedy or "") if entry.of_truth else entry.mistake.remedy for entry in entries]
     best = min(entries, key=lambda entry: entry.left)
@@ -163,12 +165,6 @@ def _tried(fit: Fit) -> Iterator[_Explanation]:
             )
             if undone is not None:
                 yield _Explanation(mistake, of_truth, undone)
-
-
-def _by_owner(entries: Iterable[_Explanation]) -> list[list[_Explanation]]:
-    """Explanations by the estimate, then those by the ground truth; empty groups are left out."""
-    found = list(entries)
-    return [part for of_truth in (False, True) if (part := [entry for entry in found if entry.of_truth is of_truth])]
 
 
 _OWNERS = {False: "the estimate", True: "the ground truth"}

@@ -56,18 +56,17 @@ def evaluator_code() -> list[PluginCode]:
     """The code of every installed package that announces evaluators or their metrics, by name. Raises OSError."""
     points = [*entry_points(group=GROUP), *entry_points(group=METRICS_GROUP)]
     found = {point.dist.name: point.dist for point in points if point.dist is not None}
-    return [_code(name, found[name]) for name in sorted(found)]
-
-
-def _code(name: str, package: Distribution) -> PluginCode:
-    folder = f"{re.sub(r'[-_.]+', '_', name)}-{package.version}.dist-info"
-    metadata = {f"{folder}/{entry}": (package.read_text(entry) or "").encode() for entry in _METADATA}
-    recorded = json.loads(package.read_text("direct_url.json") or "{}")
-    # The list of files of what ``pip install --editable`` has installed leaves its code out.
-    editable = package.files is None or bool(recorded.get("dir_info", {}).get("editable"))
-    sources = _edited_in_place(package) if editable else _installed(package)
-    code = {place: path.read_bytes() for place, path in sources if path.is_file() and path.suffix not in _COMPILED}
-    return PluginCode(name, tuple(_requirements(package)), metadata | code)
+    plugins: list[PluginCode] = []
+    for name, package in sorted(found.items()):
+        folder = f"{re.sub(r'[-_.]+', '_', name)}-{package.version}.dist-info"
+        metadata = {f"{folder}/{entry}": (package.read_text(entry) or "").encode() for entry in _METADATA}
+        recorded = json.loads(package.read_text("direct_url.json") or "{}")
+        # The list of files of what ``pip install --editable`` has installed leaves its code out.
+        editable = package.files is None or bool(recorded.get("dir_info", {}).get("editable"))
+        sources = _edited_in_place(package) if editable else _installed(package)
+        code = {place: path.read_bytes() for place, path in sources if path.is_file() and path.suffix not in _COMPILED}
+        plugins.append(PluginCode(name, tuple(_requirements(package)), metadata | code))
+    return plugins
 
 
 def _installed(package: Distribution) -> Iterator[tuple[str, Path]]:

@@ -14,7 +14,7 @@ from slamhive.base.errors import InvalidInput, SlamHiveError, unknown
 from slamhive.documents.limits import Limits
 from slamhive.documents.model import first_problem
 from slamhive.domain.configuration import Configuration, Variant
-from slamhive.domain.parameters import Parameter, Value, find_parameter
+from slamhive.domain.parameters import Value, find_parameter
 from slamhive.experiments.binding import (
     PLAYBACK_MODE,
     PLAYBACK_RATE,
@@ -117,18 +117,15 @@ def _condition_names(experiment: Experiment, view: CatalogueView, axes: Mapping[
     names |= {f"{step.name}.{axis.option}" for step in experiment.steps for axis in step.options}
     for algorithm in experiment.algorithms.values:
         for parameter in view.algorithms[str(algorithm)].parameters:
-            if parameter.source is not None and not _varied(parameter, str(algorithm), experiment):
+            # A parameter that the experiment does not set gets its value from a sensor: conditions cannot know it.
+            own = (axis for axis in experiment.parameters if axis.algorithm in (None, str(algorithm)))
+            varied = any(axis.key in (parameter.key, parameter.general) for axis in own)
+            if parameter.source is not None and not varied:
                 continue
             names.add(parameter.key)
             if parameter.general is not None:
                 names.add(parameter.general)
     return frozenset(names)
-
-
-def _varied(parameter: Parameter, algorithm: str, experiment: Experiment) -> bool:
-    """Tell if the experiment sets the parameter. If not, its sensor does, and conditions cannot know the value."""
-    axes = (axis for axis in experiment.parameters if axis.algorithm in (None, algorithm))
-    return any(axis.key in (parameter.key, parameter.general) for axis in axes)
 
 
 def _check_steps(experiment: Experiment, view: CatalogueView, pairs: list[ParameterPair]) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from fractions import Fraction
 
 from slamhive.base.errors import InvalidInput
@@ -130,16 +130,26 @@ def _range(text: str, first: str, last: str, step: str) -> list[Scalar]:
 
 
 def _call(text: str, name: str, arguments: str) -> list[Scalar]:
-    makers: dict[str, Callable[[str, list[Fraction], int], list[Scalar]]] = {"lin": _linear, "log": _logarithmic}
     parts = [part.strip() for part in arguments.split(",")]
     well_formed = len(parts) == 3 and all(_FLOAT.fullmatch(part) for part in parts) and _INTEGER.fullmatch(parts[2])
-    if name not in makers or not well_formed:
+    if name not in {"lin", "log"} or not well_formed:
         raise InvalidInput(f"{text} is not understood", "use lin(first, last, n) or log(first, last, n)")
     count = int(parts[2])
     if count < 2:
         raise InvalidInput(f"{text} gives {count} values", "n is 2 or more")
     _check_count(text, count)
-    return makers[name](text, [_end(text, parts[0]), _end(text, parts[1])], count)
+    first, last = _end(text, parts[0]), _end(text, parts[1])
+    if name == "lin":
+        numerators, denominator = _progression(first, (last - first) / (count - 1), count)
+        whole = all(number % denominator == 0 for number in numerators)
+        return [number // denominator if whole else Computed(rounded(number / denominator)) for number in numerators]
+    if first <= 0 or last <= 0:
+        raise InvalidInput(f"{text}: a logarithm needs ends above 0")
+    ratio = math.log(float(last) / float(first))
+    numbers = [rounded(float(first) * math.exp(ratio * index / (count - 1))) for index in range(count)]
+    numbers[0], numbers[-1] = float(first), float(last)
+    whole = all(number.is_integer() for number in numbers)
+    return [int(number) if whole else Computed(number) for number in numbers]
 
 
 def _end(text: str, number: str) -> Fraction:
@@ -150,29 +160,11 @@ def _end(text: str, number: str) -> Fraction:
     return end
 
 
-def _linear(_text: str, ends: list[Fraction], count: int) -> list[Scalar]:
-    first, last = ends
-    numerators, denominator = _progression(first, (last - first) / (count - 1), count)
-    whole = all(number % denominator == 0 for number in numerators)
-    return [number // denominator if whole else Computed(rounded(number / denominator)) for number in numerators]
-
-
 def _progression(first: Fraction, step: Fraction, count: int) -> tuple[list[int], int]:
     """``first + index * step`` as exact numerators over one denominator: a Fraction for each would take seconds."""
     denominator = math.lcm(first.denominator, step.denominator)
     start, stride = int(first * denominator), int(step * denominator)
     return [start + index * stride for index in range(count)], denominator
-
-
-def _logarithmic(text: str, ends: list[Fraction], count: int) -> list[Scalar]:
-    first, last = float(ends[0]), float(ends[1])
-    if first <= 0 or last <= 0:
-        raise InvalidInput(f"{text}: a logarithm needs ends above 0")
-    ratio = math.log(last / first)
-    numbers = [rounded(first * math.exp(ratio * index / (count - 1))) for index in range(count)]
-    numbers[0], numbers[-1] = first, last
-    whole = all(number.is_integer() for number in numbers)
-    return [int(number) if whole else Computed(number) for number in numbers]
 
 
 def _check_count(text: str, count: int) -> None:

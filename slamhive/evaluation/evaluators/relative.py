@@ -214,20 +214,17 @@ class Compared:
         """The pairs of the metrics ``rpe<suffix>``, and in words how far they are apart."""
         protocol, poses = self.protocol, self.estimate
         if suffix == ".frames":
-            return self._by_frames(protocol.rpe_delta_frames), f"{protocol.rpe_delta_frames} frames"
+            delta, count = protocol.rpe_delta_frames, len(poses)
+            if protocol.rpe_pairs is RpePairs.TUM:
+                return self._by_value(np.arange(count, dtype=np.float64), delta), f"{delta} frames"
+            i = np.arange(0, max(count - delta, 0), 1 if protocol.rpe_pairs is RpePairs.ALL else delta)
+            return (i, i + delta), f"{delta} frames"
         if suffix == ".seconds":
             return self._by_value(poses.stamps_s, protocol.rpe_delta_s), f"{protocol.rpe_delta_s:g} s"
         if suffix == ".degrees":
             turned_deg = np.rad2deg(turned_rad(poses))
             return self._by_value(turned_deg, protocol.rpe_delta_deg), f"{protocol.rpe_delta_deg:g} degrees"
         return self._by_value(path_m(poses), protocol.rpe_delta_m), f"{protocol.rpe_delta_m:g} m of path"
-
-    def _by_frames(self, delta: int) -> Pairs:
-        count, rule = len(self.estimate), self.protocol.rpe_pairs
-        if rule is RpePairs.TUM:
-            return self._by_value(np.arange(count, dtype=np.float64), delta)
-        i = np.arange(0, max(count - delta, 0), 1 if rule is RpePairs.ALL else delta)
-        return i, i + delta
 
     def _by_value(self, values: FloatArray, delta: float) -> Pairs:
         if self.protocol.rpe_pairs is RpePairs.TUM:

@@ -169,22 +169,19 @@ class _Reader:
             )
         content, lines = strict_yaml.parse_with_lines(only(self._lines, part), self._source)
         self._into.places = strict_yaml.Places(self._source, lines)
-        self._into.changes = {number: self._factors(number, entry) for number, entry in content.items()}
-
-    def _factors(self, number: str, entry: object) -> Factors:
-        if not isinstance(entry, Mapping):
-            raise InvalidInput(f"{self._into.places.of(number)}: {number} needs factors with new values")
-        factors: Factors = {}
-        for text, values in entry.items():
-            try:
-                factor = float(text)
-            except ValueError:
-                factor = 0.0
-            if not 0 < factor < _LARGEST_FACTOR or not isinstance(values, Mapping | None):
-                place = self._into.places.of(number, text)
-                raise InvalidInput(f"{place}: expected a factor with new values, found {text}: {values!r}")
-            factors[factor] = dict(values or {})
-        return factors
+        for number, entry in content.items():
+            if not isinstance(entry, Mapping):
+                raise InvalidInput(f"{self._into.places.of(number)}: {number} needs factors with new values")
+            factors = self._into.changes[number] = {}
+            for text, values in entry.items():
+                try:
+                    factor = float(text)
+                except ValueError:
+                    factor = 0.0
+                if not 0 < factor < _LARGEST_FACTOR or not isinstance(values, Mapping | None):
+                    place = self._into.places.of(number, text)
+                    raise InvalidInput(f"{place}: expected a factor with new values, found {text}: {values!r}")
+                factors[factor] = dict(values or {})
 
 
 # What the numbers of parameter templates mean in the combination files of the published SLAM Hive.

@@ -131,11 +131,15 @@ class CameraRig:
         cameras = [sensor for sensor in dataset.of_kind(SensorKind.CAMERA) if counts[sensor.name]]
         rights = stereo_pairs(cameras)
         followers = {right.name for right in rights.values()}
-        self._eyes = {
-            sensor.name: _eye(sensor, counts[sensor.name], rights.get(sensor.name), dataset)
-            for sensor in cameras
-            if sensor.name not in followers and can_undistort(sensor)
-        }
+        self._eyes: dict[str, _Eye] = {}
+        for sensor in cameras:
+            if sensor.name in followers or not can_undistort(sensor):
+                continue
+            count, gap = counts[sensor.name], max(1, round(MOTION_S * sensor.rate_hz))
+            number = min(MOST_PLACES, max(FEWEST_PLACES, count // IMAGES_PER_PLACE))
+            places = np.linspace(0, max(0, count - 1 - gap), number + 2)[1:-1].astype(int)
+            right, depth = rights.get(sensor.name), depth_of(sensor, dataset)
+            self._eyes[sensor.name] = _Eye(sensor, frozenset(places.tolist()), gap, right, depth)
         self._recent: dict[str, deque[tuple[int, Any]]] = {}
         for eye in self._eyes.values():
             for other in (eye.right, eye.depth):
@@ -205,13 +209,6 @@ def _is_pair(left: Sensor, right: Sensor) -> bool:
     angle_rad = np.arccos(np.clip(T_right_left[2, 2], -1.0, 1.0))
     known = can_undistort(left) and can_undistort(right)
     return bool(known and angle_rad < _MOST_AXES_RAD and np.linalg.norm(T_right_left[:3, 3]) > 1e-3)
-
-
-def _eye(sensor: Sensor, count: int, right: Sensor | None, dataset: Dataset) -> _Eye:
-    gap = max(1, round(MOTION_S * sensor.rate_hz))
-    number = min(MOST_PLACES, max(FEWEST_PLACES, count // IMAGES_PER_PLACE))
-    places = np.linspace(0, max(0, count - 1 - gap), number + 2)[1:-1].astype(int)
-    return _Eye(sensor, frozenset(places.tolist()), gap, right, depth_of(sensor, dataset))
 
 
 @cache

@@ -298,15 +298,12 @@ def register(source: Array, target: Array, guess: Array) -> Array | None:
         moved = points @ T[:3, :3].T + T[:3, 3]
         distances, nearest = tree.query(moved)
         close = distances <= np.quantile(distances, CLOSEST_SHARE)
-        T = _fit(moved[close], target[nearest[close]].astype(np.float64)) @ T
+        # The rigid transform that brings the moved points nearest to the others (Kabsch 1976).
+        own, others = moved[close], target[nearest[close]].astype(np.float64)
+        U, _, Vt = np.linalg.svd((others - others.mean(axis=0)).T @ (own - own.mean(axis=0)))
+        step = np.eye(4)
+        step[:3, :3] = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        step[:3, 3] = others.mean(axis=0) - step[:3, :3] @ own.mean(axis=0)
+        T = step @ T
         apart = distances
     return T if float(np.median(apart)) < WELL_MATCHED_M * 5 else None
-
-
-def _fit(points: Array, others: Array) -> Array:
-    """The rigid transform that brings ``points`` nearest to ``others``, both (n, 3) (Kabsch 1976)."""
-    U, _, Vt = np.linalg.svd((others - others.mean(axis=0)).T @ (points - points.mean(axis=0)))
-    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, others.mean(axis=0) - R @ points.mean(axis=0)
-    return T

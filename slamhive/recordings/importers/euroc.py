@@ -6,7 +6,6 @@ The Monado SLAM datasets (de Mayo et al., 2025) have ``gt``, and one calibration
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -209,31 +208,21 @@ def _truth(root: Path, options: ImportOptions) -> tuple[PlannedTruth | None, tup
             f"{root} has several ground truths: {', '.join(present)}", "give the right one with --groundtruth FILE"
         )
     left_out = (f"ground truth is {present[0]}; {', '.join(present[1:])} is left out",) if present[1:] else ()
-    readers: dict[str, Callable[[_Part], tuple[PlannedTruth, tuple[str, ...]]]] = {
-        _ESTIMATE: _estimate,
-        "leica0": _prism,
-    }
-    truth, notes = readers.get(present[0], _motion_capture)(_Part(root / present[0]))
-    return truth, (*left_out, *notes)
-
-
-def _estimate(part: _Part) -> tuple[PlannedTruth, tuple[str, ...]]:
-    return _poses(part, "motion capture or laser tracker, with the IMU, by the authors' estimator"), ()
-
-
-def _motion_capture(part: _Part) -> tuple[PlannedTruth, tuple[str, ...]]:
-    """Poses of the markers; TUM-VI, which has no ``sensor.yaml`` here, states them for the IMU."""
+    part = _Part(root / present[0])
+    if part.name == _ESTIMATE:
+        measured = "motion capture or laser tracker, with the IMU, by the authors' estimator"
+        return _poses(part, measured), left_out
+    if part.name == "leica0":
+        rows = part.rows("timestamp [ns], p_x, p_y, p_z")
+        truth = listed_truth(rows, None, _MEASURED[part.name], gravity_aligned=True)
+        offset_m = float(np.linalg.norm(part.calibration().rigid("T_BS")[:3, 3]))
+        note = f"ground truth is the positions of a prism, {offset_m:.3f} m from the body"
+        return truth, (*left_out, note)
+    # Poses of the markers; TUM-VI, which has no ``sensor.yaml`` here, states them for the IMU.
     truth = _poses(part, _MEASURED[part.name])
     if not (part.folder / SENSOR_FILE).is_file():
-        return truth, (f"{part.name} has no {SENSOR_FILE}: its poses are taken as those of the IMU",)
-    return of_body(truth, np.linalg.inv(part.calibration().rigid("T_BS"))), ()
-
-
-def _prism(part: _Part) -> tuple[PlannedTruth, tuple[str, ...]]:
-    rows = part.rows("timestamp [ns], p_x, p_y, p_z")
-    truth = listed_truth(rows, None, _MEASURED[part.name], gravity_aligned=True)
-    offset_m = float(np.linalg.norm(part.calibration().rigid("T_BS")[:3, 3]))
-    return truth, (f"ground truth is the positions of a prism, {offset_m:.3f} m from the body",)
+        return truth, (*left_out, f"{part.name} has no {SENSOR_FILE}: its poses are taken as those of the IMU")
+    return of_body(truth, np.linalg.inv(part.calibration().rigid("T_BS"))), left_out
 
 
 def _poses(part: _Part, source: str) -> PlannedTruth:

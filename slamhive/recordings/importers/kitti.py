@@ -99,7 +99,11 @@ def read_sequence(source: Path) -> KittiSequence:
     T_cam0_lidar = None
     if scans:
         T_cam0_lidar = np.vstack([_entry(calibration, "Tr", source), [0.0, 0.0, 0.0, 1.0]])
-    projections = {camera: _projection(calibration, camera, source) for camera in images}
+    projections: dict[int, Array] = {}
+    for camera in images:
+        P = projections[camera] = _entry(calibration, f"P{camera}", source)
+        if P[0, 0] <= 0 or P[1, 1] <= 0:
+            raise InvalidInput(f"{source / CALIBRATION_FILE}: focal length of P{camera} is {P[0, 0]}, {P[1, 1]}")
     pose_places, poses = _read_poses(source, places) or (None, None)
     pose_times_s = None if pose_places is None else times_s[np.searchsorted(places, pose_places)]
     blank = int(places[-1]) + 1 - len(places)
@@ -199,13 +203,6 @@ def _entry(calibration: dict[str, Array], key: str, source: Path) -> Array:
             f"{source / CALIBRATION_FILE} lacks {key} (found {', '.join(calibration) or 'nothing'})",
             f"add the line '{key}: ' with the 12 numbers from the sequence's calibration",
         ) from None
-
-
-def _projection(calibration: dict[str, Array], camera: int, source: Path) -> Array:
-    P = _entry(calibration, f"P{camera}", source)
-    if P[0, 0] <= 0 or P[1, 1] <= 0:
-        raise InvalidInput(f"{source / CALIBRATION_FILE}: focal length of P{camera} is {P[0, 0]}, {P[1, 1]}")
-    return P
 
 
 def _read_poses(source: Path, places: Array) -> tuple[Array, Array] | None:

@@ -183,7 +183,18 @@ class Ros1Output:
         """Write the index; the checksum and the times of the whole bag."""
         header = self._bag_header(self._position, len(self._summaries))
         records = [connection.record for connection in self._connections]
-        self._put(b"".join([*records, *(_chunk_info(summary) for summary in self._summaries)]))
+        for summary in self._summaries:
+            head = record_header(
+                OP_CHUNK_INFO,
+                ver=U32.pack(1),
+                chunk_pos=struct.pack("<Q", summary.position),
+                start_time=_time(summary.start_ns),
+                end_time=_time(summary.end_ns),
+                count=U32.pack(len(summary.counts)),
+            )
+            data = b"".join(U32.pack(connection) + U32.pack(count) for connection, count in summary.counts.items())
+            records += [head, U32.pack(len(data)), data]
+        self._put(b"".join(records))
         extent = BagExtent(
             min((summary.start_ns for summary in self._summaries), default=None),
             max((summary.end_ns for summary in self._summaries), default=None),
@@ -284,19 +295,6 @@ class _HashedFile:
                 raise OSError(errno.EIO, "what was written is not there")
             self._hash.update(block[:count])
             self._hashed += count
-
-
-def _chunk_info(summary: ChunkSummary) -> bytes:
-    head = record_header(
-        OP_CHUNK_INFO,
-        ver=U32.pack(1),
-        chunk_pos=struct.pack("<Q", summary.position),
-        start_time=_time(summary.start_ns),
-        end_time=_time(summary.end_ns),
-        count=U32.pack(len(summary.counts)),
-    )
-    data = b"".join(U32.pack(connection) + U32.pack(count) for connection, count in summary.counts.items())
-    return head + U32.pack(len(data)) + data
 
 
 def _time(time_ns: int) -> bytes:

@@ -117,7 +117,13 @@ class _Topic:
         """Operation on the next message; None if it is dropped."""
         self._number += 1
         raw = message.data
-        stamp_ns = self._timestamp_ns(raw) if self._stream.uses_stamps else message.received_ns
+        stamp_ns = message.received_ns
+        if self._stream.uses_stamps:
+            try:
+                seconds, nanoseconds = struct.unpack_from(f"{_byte_order(raw)}iI", raw, _TIMESTAMP_OFFSET)
+            except (struct.error, IndexError):
+                raise damaged(self._source, ValueError("a message without a header")) from None
+            stamp_ns = int(seconds) * _NS_PER_S + int(nanoseconds)
         decided_ns = self._stream.decide(stamp_ns)
         if decided_ns is None:
             return None
@@ -138,13 +144,6 @@ class _Topic:
             struct.pack_into(f"{_byte_order(changed)}iI", changed, _TIMESTAMP_OFFSET, *divmod(moved_ns, _NS_PER_S))
             data = memoryview(changed)
         return _Message(message.connection, message.received_ns, data)
-
-    def _timestamp_ns(self, raw: Buffer) -> int:
-        try:
-            seconds, nanoseconds = struct.unpack_from(f"{_byte_order(raw)}iI", raw, _TIMESTAMP_OFFSET)
-        except (struct.error, IndexError):
-            raise damaged(self._source, ValueError("a message without a header")) from None
-        return int(seconds) * _NS_PER_S + int(nanoseconds)
 
     def _check_definition(self) -> None:
         """Check that the type has its standard definition; others may share its name."""
