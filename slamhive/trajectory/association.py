@@ -467,21 +467,18 @@ def search_offset(misfit: Misfit, centre_s: float, within_s: float) -> float:
             f"{offsets_s[best]:+g} s",
             "search further, or give the offset",
         )
-    return _golden_section(lambda offset_s: misfit(offset_s)[0], float(offsets_s[best - 1]), float(offsets_s[best + 1]))
-
-
-def _golden_section(error: Callable[[float], float], low_s: float, high_s: float) -> float:
+    low_s, high_s = float(offsets_s[best - 1]), float(offsets_s[best + 1])
     inner = [high_s - _GOLDEN * (high_s - low_s), low_s + _GOLDEN * (high_s - low_s)]
-    errors = [error(inner[0]), error(inner[1])]
+    errors = [misfit(offset_s)[0] for offset_s in inner]
     while high_s - low_s > PRECISION_S:
         if errors[0] <= errors[1]:
             high_s = inner[1]
             inner = [high_s - _GOLDEN * (high_s - low_s), inner[0]]
-            errors = [error(inner[0]), errors[0]]
+            errors = [misfit(inner[0])[0], errors[0]]
         else:
             low_s = inner[0]
             inner = [inner[1], low_s + _GOLDEN * (high_s - low_s)]
-            errors = [errors[1], error(inner[1])]
+            errors = [errors[1], misfit(inner[1])[0]]
     return (low_s + high_s) / 2
 
 

@@ -57,7 +57,13 @@ class DraftParameter:
 
 def draft_parameters(folder: ForeignFolder, facts: FolderFacts, roles: tuple[str, ...]) -> Iterator[DraftParameter]:
     """The parameters that the templates, ``mapping.py`` and the launch files of a folder name, each once."""
-    examples = _examples(folder)
+    # Some folders hold a configuration as an example; an unreadable one says nothing.
+    try:
+        content = strict_yaml.parse(folder.scripts.get(_EXAMPLE, "a: b"), _EXAMPLE)
+    except InvalidInput:
+        content = {}
+    said = content.get("algorithm-parameters")
+    examples = {key: value for key, value in said.items() if is_plain(value)} if isinstance(said, dict) else {}
     names = set(facts.placeholders) | set(facts.mapping.keys)
     topics = {entry.parameter: role for role, entry in facts.topics.items() if entry.parameter and role in roles}
     types = dict(facts.mapping.numbers)
@@ -157,16 +163,6 @@ def _lens_templates(name: str, folder: ForeignFolder) -> tuple[str, ...]:
             "add the file",
         )
     return found
-
-
-def _examples(folder: ForeignFolder) -> dict[str, Any]:
-    """The values of the configuration that some folders hold as an example; an unreadable one says nothing."""
-    try:
-        content = strict_yaml.parse(folder.scripts.get(_EXAMPLE, "a: b"), _EXAMPLE)
-    except InvalidInput:
-        return {}
-    values = content.get("algorithm-parameters")
-    return {key: value for key, value in values.items() if is_plain(value)} if isinstance(values, dict) else {}
 
 
 _LICENCES = (

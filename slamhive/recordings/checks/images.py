@@ -512,7 +512,12 @@ def _explanation(
         ),
     ]
     remedy = "turn T_body_sensor in dataset.yaml"
-    for turn in _axis_turns():
+    # The 23 rotations that turn axes onto axes, without the identity.
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turn = np.eye(4)
+        turn[:3, :3] = np.diag(signs)[:, order]
+        if np.linalg.det(turn) < 0 or np.array_equal(turn, np.eye(4)):
+            continue
         angle_deg = np.rad2deg(np.arccos(np.clip((np.trace(turn[:3, :3]) - 1) / 2, -1.0, 1.0)))
         what = f"the camera is turned by about {angle_deg:.0f} deg"
         tried.append((poses, turn @ T_body_camera, sensor.name, what, remedy))
@@ -522,18 +527,6 @@ def _explanation(
         if _excess(moves, sensor) <= most:
             return about, what, remedy
     return None
-
-
-def _axis_turns() -> list[Array]:
-    """The 23 rotations (4, 4) that turn axes onto axes, without the identity."""
-    turns = []
-    for order in permutations(range(3)):
-        for signs in product((1.0, -1.0), repeat=3):
-            turn = np.eye(4)
-            turn[:3, :3] = np.diag(signs)[:, order]
-            if np.linalg.det(turn) > 0 and not np.array_equal(turn, np.eye(4)):
-                turns.append(turn)
-    return turns
 
 
 def _scales(evidence: DatasetEvidence, stream: StreamEvidence, moves: list[_Move], reason: str) -> Findings:

@@ -183,7 +183,14 @@ def _stream(
     notes: list[str],
 ) -> list[PlannedStream]:
     """The stream of a sensor with the files that are there; none if all are missing."""
-    paths = [_file_of(source, tables, record["filename"]) for record in records]
+    paths: list[Path] = []
+    for record in records:
+        named = PurePosixPath(record["filename"])
+        # The name comes from outside: it must not lead out of the dataset.
+        if named.is_absolute() or ".." in named.parts or "\0" in record["filename"] or not named.parts:
+            name = record["filename"][:80]
+            raise InvalidInput(f"{tables / 'sample_data.json'}: {name!r} is no file below the dataset")
+        paths.append(source / named)
     there = [(record, path) for record, path in zip(records, paths, strict=True) if path.is_file()]
     missing = len(records) - len(there)
     if missing == len(records):
@@ -212,14 +219,6 @@ def _stream(
     intrinsics = rectified_intrinsics(K, files[0])
     name = f"cam{_CAMERAS.index(channel)}"
     return [camera_stream(name, Frames(times_ns, files), intrinsics, flat(T_body_sensor))]
-
-
-def _file_of(source: Path, tables: Path, name: str) -> Path:
-    """The file that a table names, below ``source``; raises InvalidInput for one that would lie elsewhere."""
-    parts = PurePosixPath(name)
-    if parts.is_absolute() or ".." in parts.parts or "\0" in name or not parts.parts:
-        raise InvalidInput(f"{tables / 'sample_data.json'}: {name[:80]!r} is no file below the dataset")
-    return source / parts
 
 
 def _read_scan(path: Path) -> Array:

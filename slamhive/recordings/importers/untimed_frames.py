@@ -83,9 +83,20 @@ class SevenScenesImporter:
             camera,
             depth_stream(camera.sensor, far, options.depth_units_per_m or _UNITS_PER_M, read=_scenes_read_depth),
         )
-        truth, notes = _scenes_truth(source, frames_per_s)
+        files = numbered(source, _POSE)
+        poses = {number: read_pose_table(path, 4, "a 4x4 matrix by rows") for number, path in files.items()}
+        for number, pose in poses.items():
+            if pose.shape != (4, 4):
+                raise InvalidInput(f"{files[number]} has {len(pose)} rows", "expected a 4x4 matrix by rows")
+        known = {number: pose for number, pose in poses.items() if is_pose(pose)}
+        unknown = len(poses) - len(known)
+        left_out = (f"{unknown} of {len(poses)} poses are not rigid and left out",) if unknown else ()
+        truth = None
+        if known:
+            times_ns = nominal_times_ns(list(known), frames_per_s)
+            truth = truth_of_matrices(times_ns, np.array(list(known.values())), "KinectFusion")
         published = "depth is taken as registered to colour, with one focal length for both, as the authors say"
-        notes = (nominal_note(frames_per_s), published, *notes, *matched_truth(truth, streams))
+        notes = (nominal_note(frames_per_s), published, *left_out, *matched_truth(truth, streams))
         return ImportPlan(
             streams,
             truth,
@@ -104,21 +115,6 @@ class SevenScenesImporter:
 def _scenes_read_depth(path: Path, encoding: str) -> Array:
     pixels = read_image(path, encoding)
     return np.where(pixels == _NO_DEPTH, np.uint16(0), pixels)
-
-
-def _scenes_truth(source: Path, frames_per_s: float) -> tuple[PlannedTruth | None, tuple[str, ...]]:
-    files = numbered(source, _POSE)
-    poses = {number: read_pose_table(path, 4, "a 4x4 matrix by rows") for number, path in files.items()}
-    for number, pose in poses.items():
-        if pose.shape != (4, 4):
-            raise InvalidInput(f"{files[number]} has {len(pose)} rows", "expected a 4x4 matrix by rows")
-    known = {number: pose for number, pose in poses.items() if is_pose(pose)}
-    unknown = len(poses) - len(known)
-    notes = (f"{unknown} of {len(poses)} poses are not rigid and left out",) if unknown else ()
-    if not known:
-        return None, notes
-    times_ns = nominal_times_ns(list(known), frames_per_s)
-    return truth_of_matrices(times_ns, np.array(list(known.values())), "KinectFusion"), notes
 
 
 # Replica as NICE-SLAM renders it (Zhu et al., CVPR 2022; Straub et al., "The Replica dataset", 2019).

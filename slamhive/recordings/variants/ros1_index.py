@@ -190,7 +190,13 @@ class _IndexReader:
                 raise EOFError(f"its index should be at byte {index_position}, it has {self._size}")
             self._stream.seek(index_position)
             connections = [self._connection() for _ in range(_u32(header, b"conn_count"))]
-            positions = [self._chunk_position() for _ in range(_u32(header, b"chunk_count"))]
+            # Each chunk: its place, and how many connections it has messages of.
+            positions: list[tuple[int, int]] = []
+            for _ in range(_u32(header, b"chunk_count")):
+                fields = self._fields(OP_CHUNK_INFO)
+                self._take(self._u32())
+                (position,) = struct.unpack("<Q", fields[b"chunk_pos"])
+                positions.append((position, _u32(fields, b"count")))
             chunks, entries = self._chunks(sorted(positions))
         known = {connection.id: connection for connection in connections}
         strange = set(np.unique(entries["connection"]).tolist()) - set(known)
@@ -210,10 +216,16 @@ class _IndexReader:
             data_bytes = self._u32()
             data_position = self._stream.tell()
             self._stream.seek(data_position + data_bytes)
-            own = [(number, *self._index_record()) for _ in range(connections)]
-            records += own
-            rows = range(row, row + sum(len(raw) for _, _, raw in own) // INDEX_ENTRY.itemsize)
-            row = rows.stop
+            first_row = row
+            for _ in range(connections):
+                index = self._fields(OP_INDEX)
+                raw_entries = self._take(self._u32())
+                count = _u32(index, b"count")
+                if len(raw_entries) != count * INDEX_ENTRY.itemsize:
+                    raise ValueError("an index record of the wrong length")
+                records.append((number, _u32(index, b"conn"), raw_entries))
+                row += count
+            rows = range(first_row, row)
             size_bytes, compression = _u32(fields, b"size"), fields[b"compression"].decode()
             chunks.append(
                 Chunk(position, data_position, data_bytes, size_bytes, compression, self._stream.tell(), rows)
@@ -233,14 +245,6 @@ class _IndexReader:
             raise ValueError(f"a message behind the end of the chunk at byte {chunks[int(behind[0])].position}")
         return chunks, entries[order]
 
-    def _index_record(self) -> tuple[int, bytes]:
-        """A connection, and its entries in a chunk as in the file."""
-        fields = self._fields(OP_INDEX)
-        raw = self._take(self._u32())
-        if len(raw) != _u32(fields, b"count") * INDEX_ENTRY.itemsize:
-            raise ValueError("an index record of the wrong length")
-        return _u32(fields, b"conn"), raw
-
     def _connection(self) -> Ros1Connection:
         start = self._stream.tell()
         header = self._fields(OP_CONNECTION)
@@ -255,13 +259,6 @@ class _IndexReader:
             definition=fields[b"message_definition"].decode(),
             record=self._take(end - start),
         )
-
-    def _chunk_position(self) -> tuple[int, int]:
-        """Where a chunk is, and how many connections it has messages of."""
-        fields = self._fields(OP_CHUNK_INFO)
-        self._take(self._u32())
-        (position,) = struct.unpack("<Q", fields[b"chunk_pos"])
-        return position, _u32(fields, b"count")
 
     def _fields(self, operation: int) -> Fields:
         fields = parse_fields(self._take(self._u32()))
