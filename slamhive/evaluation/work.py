@@ -73,7 +73,7 @@ def _write_files(task: EvaluationTask, evaluated: Evaluated, paired: Paired) -> 
         return
     _remove(task.output, (f"{name}.zip" for name in _ARCHIVES))
     for name, result in evaluated.archives.items():
-        # The zip that ``evo_res`` opens, with the task's id as the estimate's name; the trajectories lie beside it.
+        # The zip that ``evo_res`` opens. The task's id is the estimate's name, and the trajectories lie beside it.
         # evo's own ``save_res_file`` is in a module that loads the readers of all recordings first.
         buffer = io.BytesIO()
         with zipfile.ZipFile(buffer, "w") as archive:

@@ -256,7 +256,7 @@ class ParameterPair:
                 yield row
 
     def count(self, conditions: Filter) -> int:
-        """How many combinations meet the conditions; raises as :meth:`rows`."""
+        """Number of combinations that meet the conditions; raises as :meth:`rows`."""
         deciding = self.deciding(conditions)
         others = prod(len(group) for place, group in enumerate(self.groups) if place not in deciding)
         return sum(1 for _ in self.rows(conditions, alike=False)) * others

@@ -135,7 +135,7 @@ def find_problem(
     elif index is not None:
         problem = f"quaternion has norm {norms[index]:.6g}, not 1"
         found.append(PoseProblem(index, problem, "write unit quaternions in the order qx qy qz qw"))
-    # Of several problems of one pose the first in this order is told.
+    # Of several problems of one pose, the first in this order is reported.
     return min(found, key=lambda problem: problem.index, default=None)
 
 

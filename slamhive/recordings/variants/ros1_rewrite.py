@@ -283,7 +283,7 @@ class Rewriter:
                 continue
             if self._types[connection] not in EQUAL_SIZES:
                 return None
-            # Records of one size: the first one that is kept tells it.
+            # Records of one size: the first one that is kept has it.
             row = int(kept[0])
             chunk = next(chunk for chunk in self._index.chunks if row in chunk.rows)
             starts, ends = self._extents(RewritePiece(chunk, range(row, row + 1), ()))
