@@ -108,7 +108,10 @@ def experiment_to_end(
                         return
                     phase = f" ({status.phase})" if status.phase else ""
                     time_left = "" if status.left is None or not waiting else f", {status.left.words()}{phase}"
-                    show(max(0, total - len(waiting)), f"{status.counts[Outcome.FAILED]} failed{time_left}")
+                    # Runs that a question adds are not all of its runs, so they cannot stand for those that failed.
+                    of_all = "" if status.question is None else f" of all {status.runs}"
+                    failed = f"{status.counts[Outcome.FAILED]}{of_all} failed"
+                    show(max(0, total - len(waiting)), f"{failed}{time_left}")
                     if waiting:
                         # Looking at a large experiment takes a while: most of the time is left to what is looked at.
                         time.sleep(max(PAUSE_S, 5 * (monotonic_s() - began)))
