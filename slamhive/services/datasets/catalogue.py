@@ -280,19 +280,21 @@ class Catalogue:
         from slamhive.packages.algorithm_file import ALGORITHM_FILE, ALGORITHM_FOLDERS, load_algorithms
         from slamhive.packages.published.folder import MAPPING, SCRIPTS
 
-        folders = [(name, root / name) for root in self._algorithm_roots for name, _ in stamped(root, ALGORITHM_FILE)]
-        folders += ALGORITHM_FOLDERS
+        own = [(root, stamped(root, ALGORITHM_FILE)) for root in self._algorithm_roots]
+        plugged = [(name, folder, stamp_of(folder / ALGORITHM_FILE)) for name, folder in ALGORITHM_FOLDERS]
         # Those of the published SLAM Hive, which have no algorithm.yaml.
         strange = [
             root / name
-            for root in self._algorithm_roots
+            for root, ours in own
             for name, _ in stamped(root, f"{SCRIPTS}/{MAPPING}")
-            if stamp_of(root / name / ALGORITHM_FILE) is None
+            if name not in dict(ours)
         ]
-        stamps = [*((name, folder, stamp_of(folder / ALGORITHM_FILE)) for name, folder in folders), *strange]
+        stamps = (own, plugged, strange)
         known = self._scanned.get("algorithms")
         if known is not None and known[0] == stamps:
             return known[1], []
+        folders = [(name, root / name) for root, ours in own for name, _ in ours]
+        folders += [(name, folder) for name, folder, _ in plugged]
         found: list[Algorithm] = []
         broken: list[BrokenEntry] = []
         for name, folder in folders:
