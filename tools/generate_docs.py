@@ -116,7 +116,7 @@ ALGORITHMS_LEFT_OUT = (
     "| `super-lio` 2.0.2 to 2.0.5 | its module `_super_lio_core` ends the process with SIGSEGV on import, with Python "
     "3.11 on Debian 12 |\n"
     "| `dim-odom` 0.4.2 | cuVSLAM and a Kalman filter. It tracks stereo images without a GPU (5.0 mm between made-up "
-    "images came out as 5.1 mm on average), but the licence of cuVSLAM, which its own does not name, allows NVIDIA's "
+    "images came out as 5.1 mm on average). But the licence of cuVSLAM, which its own does not name, allows NVIDIA's "
     "hardware only: use [cuVSLAM](#cuvslam) there |\n"
 )
 METRICS_TABLE = "| key | name | unit | better | what it is | after |\n|---|---|---|---|---|---|\n"
