@@ -43,8 +43,19 @@
     }
   }
 
+  // Puts a part that the document did not have yet, such as the first answers, beside a neighbour in the new page.
+  function putNew(fresh, ids) {
+    const place = ids.indexOf(fresh.id);
+    const before = ids.slice(0, place).reverse().map((id) => document.getElementById(id)).find(Boolean);
+    const after = ids.slice(place + 1).map((id) => document.getElementById(id)).find(Boolean);
+    if (before) before.after(document.adoptNode(fresh));
+    else if (after) after.before(document.adoptNode(fresh));
+    return Boolean(before || after);
+  }
+
   function swap(page) {
     let swapped = false;
+    const ids = [...page.querySelectorAll("[data-swap]")].map((part) => part.id);  // parts leave the page below
     for (const old of document.querySelectorAll("[data-swap]")) {
       const fresh = page.getElementById(old.id);
       // What was watched has ended, and the page is another one by now.
@@ -62,6 +73,9 @@
         if (scrolled[place]) [box.scrollTop, box.scrollLeft] = scrolled[place];
       });
       if (focused) fresh.querySelectorAll("a, button")[twinOf]?.focus({ preventScroll: true });
+    }
+    for (const id of ids) {
+      if (!document.getElementById(id) && putNew(page.getElementById(id), ids)) swapped = true;
     }
     if (swapped) document.dispatchEvent(new Event("pageswap"));
   }

@@ -30,7 +30,9 @@ def serving(opened: Hive) -> Iterator[str]:
     def late_app(hive: Hive, host: str) -> Flask:
         app = made(hive, host)
         if LATENCY_S:
-            app.after_request(_late)
+            app.after_request_funcs.setdefault(None, []).insert(
+                0, _late
+            )  # the first is called last, once all is packed
         return app
 
     with patch.object(serve, "create_app", late_app):

@@ -260,6 +260,14 @@ class EvaluationRepository(LeaseQueue[int]):
         """All evaluations that are queued or running, oldest first."""
         return self._records(_TABLE.c.open == 1)
 
+    def standing(self) -> tuple[int, int]:
+        """The number of evaluations that are queued or running, and the highest id of all; 0 without any.
+
+        Both together change whenever an evaluation is queued or ends.
+        """
+        latest = select(func.coalesce(func.max(_TABLE.c.id), 0))
+        return self._number(select(func.count()).where(_TABLE.c.state.in_(_OPEN))), self._number(latest)
+
     def still_open(self, evaluation_ids: Iterable[int]) -> set[int]:
         """Those of these evaluations that have not ended."""
         found: set[int] = set()

@@ -1,4 +1,4 @@
-"""One installation for the ten journeys of a user, with a worker, and a count of what the user presses."""
+"""The installations for the journeys of a user, with a worker, and a count of what the user presses."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from slamhive.recordings.room.world import motion_at
+from slamhive.services import demo
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from tests.services import tiny_project
@@ -144,6 +148,41 @@ def furnish(folder: Path, template: Path) -> Hive:
             world.finish_run(hive, run.id)
             world.evaluate_run(hive, run.id, error_m)
     stray(hive, run.id)
+    return hive
+
+
+DEMO = "name: room-demo\nalgorithms: tiny\ndatasets: room\nevaluate: {trajectory: live}\n"
+DEMO_S = 1.0
+
+
+def furnish_nothing(folder: Path, template: Path) -> Hive:
+    """An installation without data, whose demo has one algorithm. It knows the path through a room of ``DEMO_S``."""
+    root = tiny_project.make_project(folder / "project")
+    (root / "templates").rmdir()
+    for name in ("templates", "static"):
+        (root / name).symlink_to(STYLE.parents[1] / name)
+    (root / demo.FILE).parent.mkdir(parents=True)
+    (root / demo.FILE).write_text(DEMO)
+    package = root / "algorithms" / "tiny"
+    described = (package / "algorithm.yaml").read_text()
+    (package / "algorithm.yaml").write_text(
+        described.replace("trajectory_role: points", "trajectory_role: points\n    trajectory: live")
+    )
+    times_s = np.arange(0, DEMO_S, 0.02)
+    positions_m = motion_at(times_s, DEMO_S).positions_m + np.random.default_rng(1).normal(0, 0.005, (len(times_s), 3))
+    rows = (
+        f"{1000 + at_s:.6f} {x_m} {y_m} {z_m} 0 0 0 1\\n"
+        for at_s, (x_m, y_m, z_m) in zip(times_s, positions_m, strict=True)
+    )
+    mapping = (package / "slamhive" / "mapping.py").read_text()
+    assert 'poses = "".join' in mapping
+    lines = [
+        f'poses = "{"".join(rows)}"' if line.startswith('poses = "".join') else line for line in mapping.splitlines()
+    ]
+    (package / "slamhive" / "mapping.py").write_text("\n".join(lines))
+    hive = world.make_hive(folder, empty=True, template=template)
+    hive.settings = hive.settings.with_values({"executor": "process", "poll_interval_s": 0.02})
+    share_environments(folder / "data")
     return hive
 
 

@@ -145,7 +145,7 @@ def test_a_path_that_is_refused_keeps_what_was_typed_and_can_be_corrected(
         clicks.type(form, "Path", str(tmp_path / "odd"))
         clicks.within(form, "button", "Look at the path")
         page.get_by_role("alert").get_by_text("is in no format that can be imported").wait_for()
-        assert page.get_by_role("form", name="Say more").get_by_label("Format", exact=True).is_visible()
+        page.get_by_role("form", name="Say more").get_by_label("Format", exact=True).wait_for()
         sound(page, faults, "light")
     assert not list((hive.settings.data / "datasets").glob("odd*"))
 

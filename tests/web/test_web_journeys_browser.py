@@ -1,4 +1,4 @@
-"""Ten journeys of a user, on a wide and on a small screen, with the clicks that each takes."""
+"""Journeys of a user, on a wide and on a small screen, with the clicks that each takes."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from slamhive.base.settings import Mode
+from slamhive.services import demo
 from slamhive.services.hive import Hive
 from slamhive.web.static_site import SiteRequest, StaticSite
 from tests.serving import serving
@@ -20,7 +21,16 @@ from tests.waiting import eventually
 from tests.web import web_world as world
 from tests.web.account_world import PASSWORD, account_web
 from tests.web.browser_world import BROWSER, faultless
-from tests.web.journey_world import SIZES, WORST_S, Walk, furnish, known_clicks, worker_beside
+from tests.web.journey_world import (
+    DEMO_S,
+    SIZES,
+    WORST_S,
+    Walk,
+    furnish,
+    furnish_nothing,
+    known_clicks,
+    worker_beside,
+)
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -81,6 +91,28 @@ def heading(page: Page) -> str:
 def drawn(page: Page, plot: str) -> None:
     """Wait for a plot of a server's page."""
     page.wait_for_selector(f"[data-figure={plot}][data-drawn]", timeout=60_000)
+
+
+@pytest.fixture
+def nothing(tmp_path: Path, sqlite_template: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The address of an installation without data, with a worker beside the server."""
+    monkeypatch.setattr(demo, "SECONDS", DEMO_S)
+    hive = furnish_nothing(tmp_path, sqlite_template)
+    with worker_beside(hive), serving(hive) as address:
+        yield address
+    hive.close()
+
+
+def test_empty_installation_to_the_first_answer(journey: Journey, nothing: str) -> None:
+    """One button runs the demo and shows its progress; the answer comes by itself."""
+    with journey(nothing, "/") as walk:
+        page = walk.page
+        walk.click(walk.button("Run the demo"))
+        page.get_by_role("progressbar", name="Progress of the demo").or_(page.locator("#answers")).first.wait_for()
+        page.locator("#answers", has_text="room-demo").wait_for(timeout=300_000)
+        walk.click(page.locator("#answers").get_by_role("link", name=re.compile("room-demo")).first)
+        page.locator("#head", has_text="tiny: ATE").wait_for(timeout=90_000)
+        assert "not comparable" not in page.locator("main").inner_text()
 
 
 def test_first_look(journey: Journey, server: str) -> None:

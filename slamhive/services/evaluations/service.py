@@ -222,6 +222,10 @@ class Evaluations:
         """All evaluations that are queued or running."""
         return self._store.read(lambda t: t.evaluations.open())
 
+    def standing(self) -> tuple[int, int]:
+        """The number of evaluations that are queued or running, and the highest id of all."""
+        return self._store.read(lambda t: t.evaluations.standing())
+
     def still_open(self, evaluation_ids: Iterable[int]) -> set[int]:
         """Those of these evaluations that have not ended."""
         return self._store.read(lambda t: t.evaluations.still_open(evaluation_ids))

@@ -373,10 +373,11 @@ def active_runs(hive: Hive) -> tuple[RunRecord, ...]:
 
 
 def snapshot(hive: Hive) -> dict[str, Any]:
-    """Counts by state, whether a worker runs, and the progress of active runs."""
+    """Counts by state, evaluations that wait, whether a worker runs, and the progress of active runs."""
     return {
         "counts": {state.value: count for state, count in sorted(hive.runs.counts().items())},
         "unevaluated": hive.searches.unevaluated(),
+        "evaluations": hive.evaluations.standing(),
         "worker": hive.worker_alive(),
         "active": [
             {"id": run.id, "state": run.state.value} | progress_json(hive.runs.progress(run.id))
