@@ -74,10 +74,16 @@ def metric_cell(metric: Metric, value: float | None) -> TableCell:
 
 
 def mean_text(mean: float, std: float | None) -> str:
-    """``0.112 ± 0.010``, or the value of a single run. A deviation that is rounding shows as 0."""
-    if std is not None and std < 1e-9 * abs(mean):
-        std = 0.0
-    return significant(mean) if std is None else mean_and_std(mean, std)
+    """``0.112 ± 0.010``, or the value of a single run.
+
+    A deviation too small for the digits of the mean has its own two: ``0.0191 ± 3.0e-06``. One that is rounding is 0.
+    """
+    if std is None:
+        return significant(mean)
+    if std < 1e-9 * abs(mean):
+        return f"{significant(mean)} ± 0"
+    text = mean_and_std(mean, std)
+    return text if float(text.rpartition(" ")[2]) else f"{significant(mean)} ± {significant(std, 2)}"
 
 
 def median_text(n: int, median: float) -> str:

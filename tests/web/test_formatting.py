@@ -54,6 +54,20 @@ def test_a_mean_has_three_digits_and_its_deviation_two():
     assert mean_text(0.10612, 0.01934) == "0.106 ± 0.019"
 
 
+@pytest.mark.parametrize(
+    ("std", "text"),
+    [
+        (3e-6, "0.0191 ± 3.0e-06"),
+        (0.0, "0.0191 ± 0"),
+        (1e-15, "0.0191 ± 0"),
+        (None, "0.0191"),
+        (4e-4, "0.0191 ± 0.0004"),
+    ],
+)
+def test_a_small_deviation_is_not_shown_as_a_row_of_zeros(std: float | None, text: str):
+    assert mean_text(0.0191, std) == text
+
+
 def test_every_share_is_shown_in_percent():
     for metric in METRICS.entries.values():
         is_share = metric.unit == "" and "share of the" in metric.definition.lower()[:32]
