@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import stat
 from enum import StrEnum
 
@@ -59,11 +60,16 @@ def open_data_root(settings: Settings, expected: DataRoot) -> Store:
 
 
 def _make_folders(settings: Settings) -> None:
-    try:
-        settings.runs_folder.mkdir(parents=True, exist_ok=True)
-        settings.datasets_folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _unusable(settings, error) from None
+    for folder in (settings.runs_folder, settings.datasets_folder):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            if error.errno == errno.EROFS:
+                raise Unavailable(
+                    f"the folder {folder} is missing, and cannot be made on a read-only file system",
+                    "start slamhive worker first, where the data root can be written; it makes the folder",
+                ) from None
+            raise _unusable(settings, error) from None
 
 
 def _unusable(settings: Settings, error: OSError) -> Unavailable:

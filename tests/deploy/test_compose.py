@@ -71,6 +71,12 @@ def test_every_service_has_a_health_check(services):
     assert all("healthcheck" in service for service in services.values())
 
 
+def test_web_starts_when_the_worker_has_made_what_it_mounts(services):
+    assert services["web"]["depends_on"]["worker"] == {"condition": "service_healthy"}
+    check = services["worker"]["healthcheck"]["test"][-1]
+    assert f"worker-{services['worker']['hostname']}.lock" in check
+
+
 def test_no_password_is_written_down(services):
     database = services["database"]["environment"]
     assert database["MYSQL_PASSWORD"].startswith("${MYSQL_PASSWORD:?")

@@ -84,6 +84,41 @@ def run_container(engine, image: str, environment: dict[str, str], **options):
     )
 
 
+def health_check(name: str) -> list[str]:
+    """The command of the compose file that tells whether a service is healthy."""
+    kind, *words = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"][name]["healthcheck"]["test"]
+    words = [word.replace("$$", "$") for word in words]
+    return ["sh", "-c", *words] if kind == "CMD-SHELL" else words
+
+
+def test_a_worker_that_has_not_started_is_not_healthy(engine, images, tmp_path):
+    with pytest.raises(docker.errors.ContainerError) as raised:
+        engine.containers.run(
+            images["worker"],
+            health_check("worker"),
+            environment={"SLAMHIVE_DATA": "/data"},
+            volumes={str(tmp_path): {"bind": "/data", "mode": "rw"}},
+            hostname="slamhive",
+            remove=True,
+        )
+    assert raised.value.exit_status == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_web_server_before_the_first_worker_says_what_is_missing(engine, images, tmp_path):
+    tmp_path.chmod(0o755)
+    with pytest.raises(docker.errors.ContainerError) as raised:
+        engine.containers.run(
+            images["web"],
+            environment={"SLAMHIVE_DATA": "/data", "HOME": "/tmp", "SLAMHIVE_AUTH": "none"},
+            volumes={str(tmp_path): {"bind": "/data", "mode": "ro"}},
+            remove=True,
+        )
+    said = str(raised.value)
+    assert "the folder /data/runs is missing, and cannot be made on a read-only file system; start" in said
+    assert "Traceback" not in said
+
+
 @pytest.fixture(scope="module")
 def worker(engine, images, environment, data):
     """The worker as the compose file starts it: the engine's socket, the data root under the host's path."""
@@ -123,6 +158,8 @@ def test_worker_reaches_database_and_engine(worker, data):
     assert checks["database"]["found"].startswith("mysql 127.0.0.1")
     assert checks["executor docker"]["verdict"] == "ok"
     assert checks["data root"]["verdict"] == "ok"
+    code, output = worker.exec_run(health_check("worker"))
+    assert code == 0, output
 
 
 @pytest.fixture(scope="module")
@@ -182,9 +219,7 @@ def test_web_server_is_healthy_without_rights(web):
 def test_health_check_of_the_compose_file_passes(web):
     container, url = web
     get(f"{url}/healthz")
-    service = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"]["web"]
-    command = [word.replace("http://127.0.0.1:5000", url) for word in service["healthcheck"]["test"][1:]]
-    code, output = container.exec_run(command)
+    code, output = container.exec_run([word.replace("http://127.0.0.1:5000", url) for word in health_check("web")])
     assert code == 0, output
 
 
