@@ -30,9 +30,7 @@ def serving(opened: Hive) -> Iterator[str]:
     def late_app(hive: Hive, host: str) -> Flask:
         app = made(hive, host)
         if LATENCY_S:
-            app.after_request_funcs.setdefault(None, []).insert(
-                0, _late
-            )  # the first is called last, once all is packed
+            app.after_request_funcs.setdefault(None, []).insert(0, _late)  # called last
         return app
 
     with patch.object(serve, "create_app", late_app):
