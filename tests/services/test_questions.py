@@ -12,6 +12,7 @@ from slamhive.base.errors import Conflict, InvalidInput, NotFound
 from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.question import CandidateStanding, QuestionAnswer
 from slamhive.domain.run import FailureReason, RunState
+from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
@@ -141,6 +142,17 @@ def test_failed_runs_count_as_worst(hive: Hive):
     failed = found.candidates[1].failed
     assert failed == found.candidates[1].runs > 0
     assert found.notes == (f"nFeatures 2000: {failed} of {failed} runs failed: lost tracking {failed}.",)
+
+
+def test_runs_on_a_disturbed_machine_are_said(hive: Hive):
+    start(hive)
+    hive.questions.advance("two")
+    busy = Disturbance(known=True, reasons=(DisturbanceReason(DisturbanceKind.OTHERS, "another program"),))
+    run_ids = hive.experiments.unfinished("two")
+    end(hive, noisy({1000: 0.05, 2000: 0.09}))
+    hive.store.write(lambda t: t.runs.update(run_ids[0], disturbance=busy))
+    (note,) = hive.questions.decision("two").notes
+    assert note.startswith("1 of 4 runs ran on a disturbed machine, where frames may be lost.")
 
 
 def test_lost_and_cancelled_runs_are_replaced_and_said(hive: Hive):

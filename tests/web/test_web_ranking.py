@@ -216,7 +216,7 @@ def test_configurations_under_several_protocols_are_all_listed_and_none_has_a_pl
     assert "2 of 2 under Sim(3)" in text
     assert "4 runs use SE(3), 2 Sim(3): not comparable." in page
     assert "Evaluate all under Sim(3)</button>" in page
-    assert "No answer: errors under several protocols" in page
+    assert "No answer" not in page, "the banner says it"
     for number in (1, 2):
         (cell,) = web.hive.experiments.cells("ranked", number - 1, 1).cells
         for run in cell.runs:

@@ -214,7 +214,7 @@ def nearest_fisheye(camera: AriaCamera, rays: Array) -> tuple[CameraIntrinsics, 
         return errors
 
     centre = ((camera.width - 1) / 2, (camera.height - 1) / 2)
-    from scipy.optimize import least_squares  # noqa: PLC0415 - loads slower than all importers together
+    from scipy.optimize import least_squares  # noqa: PLC0415 - no other importer needs it
 
     fitted = least_squares(residuals, [camera.focal_px, camera.focal_px, *centre, 0.0, 0.0, 0.0, 0.0], x_scale="jac")
     fx, fy, cx, cy, *coefficients = (float(number) for number in fitted.x)
