@@ -1,5 +1,6 @@
 // Keeps the page up to date. Each event updates the progress. When the set of runs or their states change, the page
-// is fetched once, and its parts marked data-swap replace the old ones without a reload or a jump.
+// is fetched once, and those parts marked data-swap that the server makes differently now replace the old ones, without
+// a reload or a jump.
 "use strict";
 (() => {
   const POLL_MS = 5000;
@@ -8,6 +9,13 @@
   let fetching = false;
   let polling = null;
   let wanted = false;
+
+  // The parts as the server made them. What scripts have drawn into them since, such as widths of columns, is no change,
+  // and neither is the token of a form, which is another one in each answer.
+  const made = new Map();
+  const asMade = (part) => part.innerHTML.replace(/name="csrf_token" value="[^"]*"/g, "");
+  // This script comes first, so no other one has changed anything yet.
+  for (const part of document.querySelectorAll("[data-swap]")) made.set(part.id, asMade(part));
 
   const connection = (text) => {
     const place = document.getElementById("connection");
@@ -46,6 +54,7 @@
   // Puts a part that the document did not have yet, such as the first answers, beside a neighbour in the new page.
   function putNew(fresh, ids) {
     const place = ids.indexOf(fresh.id);
+    made.set(fresh.id, asMade(fresh));
     const before = ids.slice(0, place).reverse().map((id) => document.getElementById(id)).find(Boolean);
     const after = ids.slice(place + 1).map((id) => document.getElementById(id)).find(Boolean);
     if (before) before.after(document.adoptNode(fresh));
@@ -60,12 +69,13 @@
       const fresh = page.getElementById(old.id);
       // What was watched has ended, and the page is another one by now.
       if (!fresh && "refresh" in old.dataset) { location.reload(); return; }
-      if (!fresh || fresh.innerHTML === old.innerHTML) continue;
+      if (!fresh || asMade(fresh) === made.get(old.id)) continue;
       if (old.querySelector("[data-editing]")) continue;
       if (old.contains(document.activeElement) && /^(SELECT|INPUT)$/.test(document.activeElement.tagName)) continue;
       const focused = old.contains(document.activeElement) ? document.activeElement : null;
       const scrolled = [...old.querySelectorAll(".table-wrap, .log")].map((box) => [box.scrollTop, box.scrollLeft]);
       const twinOf = focused && [...old.querySelectorAll("a, button")].indexOf(focused);
+      made.set(old.id, asMade(fresh));
       keepState(old, fresh);
       old.replaceWith(document.adoptNode(fresh));
       swapped = true;

@@ -14,7 +14,7 @@ from tests.web import web_world as world
 from tests.web.browser_world import BROWSER, faultless
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Route
+    from playwright.sync_api import Browser, Response, Route
 
 pytestmark = BROWSER
 
@@ -55,3 +55,22 @@ def test_a_run_that_ends_before_the_page_listens_is_not_shown_as_running(chromiu
             page.route("**/events", end_first)
             page.goto(f"{address}/runs/{run_id}")
             page.get_by_role("region", name="Progress").wait_for(state="detached")
+
+
+def test_a_page_on_which_nothing_changes_keeps_what_scripts_have_drawn(chromium: Browser, tmp_path: Path) -> None:
+    with closing(world.make_hive(tmp_path)) as hive:
+        world.fill(hive)
+        address_of_run = f"/runs/{world.RUNS['done']}"
+        with serving(hive) as address, faultless(chromium, address) as page:
+
+            def looks_again(answer: Response) -> bool:
+                return answer.url.endswith(address_of_run) and answer.request.resource_type == "fetch"
+
+            with page.expect_response(looks_again) as again:
+                page.goto(f"{address}{address_of_run}")
+                page.evaluate("document.querySelectorAll('[data-swap]').forEach((part) => part.append('drawn'))")
+            again.value.finished()
+            page.evaluate("() => new Promise((done) => setTimeout(done, 200))")  # the answer is read and compared
+            parts = page.locator("[data-swap]")
+            assert parts.count() > 3
+            assert parts.filter(has_text="drawn").count() == parts.count()
