@@ -53,7 +53,9 @@ def test_a_run_that_ends_before_the_page_listens_is_not_shown_as_running(chromiu
                 route.continue_()
 
             page.route("**/events", end_first)
-            page.goto(f"{address}/runs/{run_id}")
+            answer = page.goto(f"{address}/runs/{run_id}")
+            assert answer is not None
+            assert 'aria-label="Progress"' in answer.text()
             page.get_by_role("region", name="Progress").wait_for(state="detached")
 
 

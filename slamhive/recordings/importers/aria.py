@@ -8,6 +8,7 @@ are on the clock of the device.
 from __future__ import annotations
 
 import csv
+import io
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ from pydantic import BaseModel, Field, FiniteFloat, NonNegativeInt
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
 from slamhive.domain.calibration import TIME_OFFSET, CameraIntrinsics, CameraModel
+from slamhive.domain.names import plural
 from slamhive.domain.sensors import Sensor, SensorKind, is_rigid
 from slamhive.recordings.geometry import Array
 from slamhive.recordings.importers.outside import Library, OutsidePlan, OutsideRecording
@@ -35,6 +37,7 @@ from slamhive.recordings.importing import (
 from slamhive.recordings.streams import OVERHEAD_BYTES, imu_stream
 from slamhive.recordings.writers import NS_PER_S, BagWriter
 from slamhive.trajectory.model import find_problem
+from slamhive.trajectory.table import read_bounded
 
 ARIA = Library("aria", "projectaria_tools", "projectaria-tools")
 _TRAJECTORY = "closed_loop_trajectory.csv"
@@ -119,7 +122,8 @@ class AriaImporter:
             if not is_rigid(T_device_sensor):
                 raise InvalidInput(f"{files[0]}: the pose of {label} is not rigid", "correct its calibration")
         streams = [_camera(recording, about, number, notes) for number in range(len(about.cameras))]
-        streams += [_imu(recording, about, number, notes) for number in range(len(about.imus))]
+        imus = [_imu(recording, about, number, notes) for number in range(len(about.imus))]
+        streams += [imu for imu in imus if imu is not None]
         if not streams:
             raise InvalidInput(f"{files[0]} has no images and no IMU samples", "give the recording of a device")
         if about.left_out:
@@ -224,8 +228,11 @@ def nearest_fisheye(camera: AriaCamera, rays: Array) -> tuple[CameraIntrinsics, 
     return intrinsics, float(np.sqrt(np.mean(apart_px**2))), float(apart_px.max())
 
 
-def _imu(recording: OutsideRecording, about: AriaPlan, number: int, notes: list[str]) -> PlannedStream:
-    """One IMU; its timestamps become those of the angular rates, and accelerations are interpolated there."""
+def _imu(recording: OutsideRecording, about: AriaPlan, number: int, notes: list[str]) -> PlannedStream | None:
+    """One IMU, None with fewer than two samples.
+
+    Its timestamps become those of the angular rates, and accelerations are interpolated there.
+    """
     imu, captured_ns, samples = about.imus[number], about.values[f"imu{number}_times_ns"], about.values[f"imu{number}"]
     recording.check_order(f"samples of {imu.label}", captured_ns)
     if not np.isfinite(samples).all():
@@ -233,6 +240,9 @@ def _imu(recording: OutsideRecording, about: AriaPlan, number: int, notes: list[
     name, total = f"imu{number}", len(captured_ns) + imu.invalid
     if imu.invalid:
         notes.append(Loss(imu.invalid, total, f"{imu.invalid} of {total} samples of {imu.label} are marked invalid"))
+    if total - imu.invalid < 2:
+        notes.append(f"{imu.label} has {plural(total - imu.invalid, 'valid sample')}, and is left out")
+        return None
     gyro_ns, force_ns = round(imu.gyro_offset_s * NS_PER_S), round(imu.force_offset_s * NS_PER_S)
     words = f"{name} is {imu.label}, corrected by the calibration of the factory"
     if gyro_ns or force_ns:
@@ -257,17 +267,16 @@ def _truth(path: Path, notes: list[str]) -> PlannedTruth:
     needed = ("graph_uid", "tracking_timestamp_us", *positions, *quats, *gravity)
     maps: list[str] = []
     rows: list[list[float]] = []
-    with path.open(encoding="utf-8", errors="replace", newline="") as file:
-        reader = csv.DictReader(file)
-        lacking = [name for name in needed if name not in (reader.fieldnames or ())]
-        if lacking:
-            raise InvalidInput(f"{path} lacks the columns {', '.join(lacking)}", f"give a {_TRAJECTORY} of Aria's MPS")
+    reader = csv.DictReader(io.StringIO(read_bounded(path).decode("utf-8", errors="replace"), newline=""))
+    lacking = [name for name in needed if name not in (reader.fieldnames or ())]
+    if lacking:
+        raise InvalidInput(f"{path} lacks the columns {', '.join(lacking)}", f"give a {_TRAJECTORY} of Aria's MPS")
+    try:
         for row in reader:
-            try:
-                rows.append([float(row[name]) for name in needed[1:]])
-            except (TypeError, ValueError):
-                raise InvalidInput(f"{path}:{reader.line_num}: a value is no number", "copy the file again") from None
+            rows.append([float(row[name]) for name in needed[1:]])
             maps.append(row["graph_uid"])
+    except (TypeError, ValueError, csv.Error):
+        raise InvalidInput(f"{path}:{reader.line_num}: a value is no number", "copy the file again") from None
     if not rows:
         raise InvalidInput(f"{path} has no poses", "give the trajectory of the recording")
     sizes = Counter(maps)

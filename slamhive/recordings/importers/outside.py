@@ -31,9 +31,10 @@ from slamhive.recordings.writers import NS_PER_S
 _READER = Path(__file__).with_name("outside_reader.py")
 _MOST_RECORD_BYTES = 128_000_000
 _MOST_ARRAY_BYTES = 200_000_000
-_MOST_LINE_BYTES = 100_000
+_MOST_LINE_BYTES = 1_000_000
 _MOST_NS = 2**31 * NS_PER_S
 _SHOWN = 300
+_MOST_WORDS_BYTES = 64_000
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -84,6 +85,8 @@ class OutsidePlan(BaseModel):
     @property
     def complete(self) -> bool:
         """All arrays are there, with their columns, and a row for each time."""
+        if any(values.ndim not in (1, 2) for values in self.values.values()):
+            return False
         columns = {name: 1 if values.ndim == 1 else values.shape[-1] for name, values in self.values.items()}
         return columns == self.columns and all(
             len(values) == len(self.values.get(f"{name}_times_ns", values)) for name, values in self.values.items()
@@ -146,7 +149,10 @@ class OutsideRecording:
     def check_order(self, what: str, times_ns: Array) -> None:
         """Raise InvalidInput unless the timestamps of ``what`` increase, and a recording can hold them."""
         if len(times_ns) and (times_ns[0] < 0 or times_ns[-1] >= _MOST_NS or (np.diff(times_ns) <= 0).any()):
-            raise InvalidInput(f"the timestamps of the {what} of {self.name} do not increase", "correct the recording")
+            raise InvalidInput(
+                f"the timestamps of the {what} of {self.name} do not increase, or are out of range",
+                "correct the recording",
+            )
 
     @contextmanager
     def _reading(self, mode: str, part: str) -> Iterator[IO[bytes]]:
@@ -170,10 +176,13 @@ class OutsideRecording:
                 process.kill()
                 process.wait()
             if code:
-                words.seek(0)
+                words.seek(max(0, words.seek(0, os.SEEK_END) - _MOST_WORDS_BYTES))
                 text = _COLOURS.sub("", words.read().decode(errors="replace"))
+                # The library may quote the recording, which is from outside: no command may reach a terminal.
+                text = "".join(c if c.isprintable() or c == "\n" else " " for c in text)
                 lines = [line.strip() for line in text.splitlines() if line.strip()] or ["it gave no reason"]
-                ended = f" (ended by {signal.Signals(-code).name})" if code < 0 else ""
+                known = code < 0 and -code in set(signal.Signals)
+                ended = f" (ended by {signal.Signals(-code).name if known else f'signal {-code}'})" if code < 0 else ""
                 raise InvalidInput(
                     f"{self.library.name} cannot read {self.name}: {lines[-1][:_SHOWN]}{ended}", self._remedy
                 )

@@ -279,7 +279,9 @@ class OusterImporter:
             sensor = Sensor(name, SensorKind.LIDAR, topic, rate, lidar.T_body_sensor, layout.calibration())
             points = len(lidar.elevations_deg) * lidar.columns
             streams.append(_scan_stream(recording, str(number), sensor, times_ns, points))
-            if len(samples_ns):
+            if len(samples_ns) == 1:
+                notes.append(f"the IMU of {name} has a single sample, and is left out")
+            elif len(samples_ns):
                 samples = about.values[f"imu{number}"]
                 if not np.isfinite(samples).all():
                     raise InvalidInput(f"an IMU sample of {words} is not finite", "correct the recording")

@@ -72,7 +72,10 @@ class QuestionLook:
     def fingerprint(self) -> bytes:
         """Identifies all that the next step follows from."""
         runs = [
-            (cell, run.id, run.use, run.cancelled, run.reason, sorted(run.metrics.items()))
+            (
+                *(cell, run.id, run.use, run.cancelled, run.reason, sorted(run.metrics.items())),
+                *(run.disturbed, run.failure),
+            )
             for cell, runs in sorted(self.runs.items())
             for run in runs
         ]
@@ -92,8 +95,11 @@ class QuestionLook:
         return [run for cell in candidate.looks.values() for run in self.runs.get(cell, ())]
 
     def runs_left(self, budget: RunBudget) -> int:
-        """Number of further runs on whole recordings. Time counts all runs, so each comes with its first looks."""
-        return budget.runs_left(self.asked - self.looked, self.spent_s)
+        """Number of further runs on whole recordings. Time counts all runs, so each comes with its first looks.
+
+        Until a whole recording has run, first looks say how long a run takes.
+        """
+        return budget.runs_left(self.asked - self.looked or (self.looked if budget.runs is None else 0), self.spent_s)
 
     def hindrance(self, candidate: ExperimentCandidate) -> FailureReason | None:
         """Why the candidate cannot run at all; None if it can."""

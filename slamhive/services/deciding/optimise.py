@@ -179,15 +179,8 @@ def _see(look: QuestionLook, plan: OptimisePlan, at_once: int) -> _Seen:
     scores, worst = np.empty_like(told), np.zeros(len(plan.metrics))
     objectives: list[_Objective] = []
     for column, key in enumerate(plan.metrics):
-        # A value that is better smaller and never 0 or less is compared as a ratio; others by their usual size.
-        metric, of_metric = described(key), told[:, column]
-        good = of_metric[np.isfinite(of_metric)]
-        if metric.direction is Direction.LOWER and (good > 0).all():
-            objective = _Objective(key, metric.label, metric.unit, logarithmic=True)
-        else:
-            sign = -1.0 if metric.direction is Direction.HIGHER else 1.0
-            size = float(np.median(np.abs(good))) if len(good) else 1.0
-            objective = _Objective(key, metric.label, metric.unit, sign=sign, size=size or 1.0)
+        of_metric = told[:, column]
+        objective = _objective(key, of_metric)
         stated = plan.worst if key == plan.metric else None
         scores[:, column], worst[column] = _scores(objective, of_metric, datasets, stated)
         objectives.append(objective)
@@ -205,13 +198,26 @@ def _see(look: QuestionLook, plan: OptimisePlan, at_once: int) -> _Seen:
         worst,
         tuple(objectives),
         None,
-        *_first_looks(look, plan, candidates, objectives[0]),
+        *_first_looks(look, plan, candidates),
     )
     return replace(seen, state=seen.fitted(len(scores), at_once))
 
 
+def _objective(key: str, values: Numbers) -> _Objective:
+    """The comparison of the values of a metric, NaN for a failed run.
+
+    A value that is better smaller and never 0 or less is compared as a ratio; others by their usual size.
+    """
+    metric, good = described(key), values[np.isfinite(values)]
+    if metric.direction is Direction.LOWER and (good > 0).all():
+        return _Objective(key, metric.label, metric.unit, logarithmic=True)
+    sign = -1.0 if metric.direction is Direction.HIGHER else 1.0
+    size = float(np.median(np.abs(good))) if len(good) else 1.0
+    return _Objective(key, metric.label, metric.unit, sign=sign, size=size or 1.0)
+
+
 def _first_looks(
-    look: QuestionLook, plan: OptimisePlan, candidates: Sequence[ExperimentCandidate], objective: _Objective
+    look: QuestionLook, plan: OptimisePlan, candidates: Sequence[ExperimentCandidate]
 ) -> tuple[dict[int, float], frozenset[int]]:
     """The score of each place on its clip, infinite where that failed, and the places whose first look goes on."""
     seen: list[tuple[int, str, float]] = []
@@ -222,7 +228,9 @@ def _first_looks(
             looking.update(place for run in runs if run.use is RunUse.OPEN)
             values = [_values(run, plan) for run in look.results(cell)]
             seen += [(place, dataset, math.nan if value is None else value[0]) for value in values if value != ()]
-    of_clips = np.array([value for _, _, value in seen])
+    of_clips = np.array([value for _, _, value in seen], dtype=float)
+    # A clip can have values that no whole recording has, such as 0 dropped frames, so it is compared among clips alone.
+    objective = _objective(plan.metrics[0], of_clips)
     scores, _ = _scores(objective, of_clips, np.array([dataset for _, dataset, _ in seen]), None)
     return {place: float(score) for (place, _, _), score in zip(seen, scores, strict=True)}, frozenset(looking)
 
@@ -330,6 +338,8 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
     if looks and plan.first_look is not None:
         names = "; ".join(seen.candidates[place].label for place in looks)
         words = f"{words} First looks, {plan.first_look.words} each, at {names}.".lstrip()
+    if not looks and not chosen:  # all that the model wants has its first look under way
+        return under_way
     more = _cells(look, seen, looks, looks=True) if looks else {}
     return QuestionAnswer.OPEN, words, more | _cells(look, seen, chosen)
 
@@ -340,7 +350,8 @@ _Outcome = tuple[QuestionAnswer, str, Mapping[int, int]]
 def _beginning(look: QuestionLook, seen: _Seen, left: int, under_way: _Outcome) -> _Outcome:
     """The first looks and the first runs, before anything can be said of those that have not run."""
     plan, waiting = seen.plan, len(seen.pending) + len(seen.looking)
-    good = [run for found in look.runs.values() for run in found if run.use is RunUse.GOOD]
+    # A clip may be too short for a metric that the whole has, so whole recordings decide what is reported.
+    good = [run for candidate in seen.candidates for run in look.of(candidate) if run.use is RunUse.GOOD]
     lacking = [key for key in plan.metrics if good and not any(key in run.metrics for run in good)]
     if lacking and not waiting:
         why = f"Undecided: no run reports {' and '.join(lacking)}. Another metric can be searched for."
@@ -391,7 +402,7 @@ def _sentence(look: QuestionLook, seen: _Seen, state: SearchState) -> str:
     confidence = f"at {100 * plan.confidence:.4g} % confidence"
     spent = f"After {look.asked - look.looked} runs of {look.combinations}"
     if plan.first_look is not None:
-        spent += f" and {plural(look.looked, 'first look')}"
+        spent += f" combinations and {plural(look.looked, 'first look')}"
     ends = {state.front[0]: None} | {
         min(state.front, key=lambda place: float(state.scores[place, column])): None
         for column in range(1, len(seen.objectives))

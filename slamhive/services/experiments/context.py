@@ -102,7 +102,8 @@ class ExperimentContext:
             datasets | dict(assumed or {}),
             RegisteredSteps(),
             lambda reference, algorithm: find_map(self.store, self.settings.runs_folder, reference, algorithm).map,
-            recording_begin_s,
+            # What is not fetched yet begins at 0: its plan is the same, and nothing of it runs.
+            lambda dataset: 0.0 if dataset.name in (assumed or {}) else recording_begin_s(dataset),
         )
         return expand(experiment, view)
 
