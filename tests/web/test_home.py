@@ -75,6 +75,11 @@ def test_the_title_says_what_is_going_on(shown: Web) -> None:
     assert "no trajectory" in text
 
 
+def test_nobody_is_told_of_a_missing_worker_while_nothing_waits(shown: Web) -> None:
+    shown.hive.runs.cancel(shown.runs["queued"])
+    assert "No worker is running" not in shown.client.get("/").text
+
+
 @pytest.mark.parametrize(
     ("active", "queued", "words"),
     [

@@ -47,6 +47,15 @@ def test_the_form_starts_runs_and_redirects(web: Web):
     assert f"Runs {first} to {last} were put into the queue." in web.client.get(answer.location).text
 
 
+def test_a_run_that_is_running_already_is_not_said_to_be_queued(web: Web):
+    answer = send(web, "/runs/new", **{**FORM, "repeat": "1"})
+    (run,) = web.hive.runs.page(limit=1).records
+    world.start_run(web.hive, run.id)
+    text = web.client.get(answer.location).text
+    assert f"Run {run.id} was put into the queue." in text
+    assert "is queued" not in text
+
+
 @pytest.mark.parametrize(
     ("field", "typed", "words"),
     [("parameter.nFeatures", "99", "100 to 10000"), ("parameter.nFeatures", "<b>", "expected int"),

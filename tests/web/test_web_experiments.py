@@ -310,8 +310,15 @@ def test_an_empty_list_says_what_to_do(empty: Web):
     assert 'href="/new-experiment"' in text
 
 
+def bar_of(web: Web) -> str:
+    """The bar of the only experiment in the list."""
+    return web.client.get("/experiments").text.partition('<svg class="phases"')[2].partition("</svg>")[0]
+
+
 def test_the_list_shows_how_far_each_is(trial: Web):
+    assert "<rect" not in bar_of(trial), "nothing has ended"
     world.finish_run(trial.hive, runs_of(trial, 1)[0])
+    assert re.findall(r'width="([\d.]+)"', bar_of(trial)) == ["8.333"], "1 of 12"
     text = trial.client.get("/experiments").text
     assert "Showing all 1 experiment, newest first." in text
     assert "1 not evaluated, 11 queued" in text

@@ -206,6 +206,22 @@ def test_text_can_be_read_on_every_colour(dark: bool, ink: str) -> None:
             assert _contrast(ink, opacity, colour) >= 4.5, (level, opacity)
 
 
+@pytest.mark.parametrize("dark", [False, True])
+def test_outcomes_that_mean_something_else_look_different(dark: bool) -> None:
+    """A run that goes on is filled, one that waits is hollow, and no colour stands for two of these."""
+    static = project_root() / "static"
+    style, tokens = (static / "slamhive.css").read_text(), (static / "tokens.css").read_text()
+    colours = {}
+    for outcome in ("good", "failed", "running", "queued", "unjudged"):
+        variable = re.findall(rf"[^{{}}]*\.outcome-{outcome}\b[^{{}}]*\{{ --c: var\(--([a-z]+)\); \}}", style)
+        (value,) = re.findall(rf"--{variable[0]}: light-dark\(([^)]*)\);", tokens)
+        colours[outcome] = value.split(",")[dark].strip()
+    assert len(set(colours.values())) == len(colours), colours
+    (hollow,) = re.findall(r"\.state:is\(([^)]*)\)::before \{ background: none;", style)
+    assert {".outcome-queued", ".outcome-unjudged"} <= set(hollow.split(", "))
+    assert not {".outcome-running", ".outcome-good"} & set(hollow.split(", "))
+
+
 # -- sparklines --------------------------------------------------------------------------------------------------------
 
 

@@ -91,6 +91,22 @@ def test_a_ranking_is_preliminary_until_all_have_ended_and_counts_what_waits(web
     assert order(ranked(web).best) == [(2, 1), (1, None)]
 
 
+def test_one_run_of_each_gives_no_place_and_offers_two_repeats(web: Web) -> None:
+    start(web, (500, 600), repeats=1)
+    end(web, 1, (0.1,))
+    end(web, 2, (0.2,))
+    assert order(ranked(web).best) == [(1, None), (2, None)]
+    assert "Add 2 repeats</button>" in web.client.get("/experiments/ranked").text
+
+
+def test_a_group_of_which_a_filter_takes_a_part_says_so(web: Web) -> None:
+    start(web, (500,), repeats=5)
+    end(web, 1, (0.1, 0.1, 0.1, 0.1, 0.1))
+    (cell,) = web.hive.experiments.cells("ranked", 0, 1).cells
+    text = web.client.get(f"/runs?group=configuration&where=id = {cell.runs[0].id}").text
+    assert '<td class="number">1 of 5</td>' in text
+
+
 def test_a_run_that_was_retried_is_no_failure(web: Web) -> None:
     start(web, (500, 600), repeats=2)
     end(web, 1, (None, 0.1))
