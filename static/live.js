@@ -69,13 +69,14 @@
       const fresh = page.getElementById(old.id);
       // What was watched has ended, and the page is another one by now.
       if (!fresh && "refresh" in old.dataset) { location.reload(); return; }
-      if (!fresh || asMade(fresh) === made.get(old.id)) continue;
+      const text = fresh && asMade(fresh);
+      if (!fresh || text === made.get(old.id)) continue;
       if (old.querySelector("[data-editing]")) continue;
       if (old.contains(document.activeElement) && /^(SELECT|INPUT)$/.test(document.activeElement.tagName)) continue;
       const focused = old.contains(document.activeElement) ? document.activeElement : null;
       const scrolled = [...old.querySelectorAll(".table-wrap, .log")].map((box) => [box.scrollTop, box.scrollLeft]);
       const twinOf = focused && [...old.querySelectorAll("a, button")].indexOf(focused);
-      made.set(old.id, asMade(fresh));
+      made.set(old.id, text);
       keepState(old, fresh);
       old.replaceWith(document.adoptNode(fresh));
       swapped = true;

@@ -54,3 +54,8 @@ def mean_and_std(mean: float, std: float | None) -> str:
 
 def _exponent(value: float) -> int:
     return math.floor(math.log10(abs(value))) if value else 0
+
+
+def printable(text: str) -> str:
+    """``text`` from outside with a blank in the place of each character that cannot be printed, line ends included."""
+    return "".join(character if character.isprintable() else " " for character in text)

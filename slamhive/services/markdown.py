@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from markdown_it import MarkdownIt
 
 from slamhive.analysis.report import ResultTable
+from slamhive.domain.names import printable
 
 _WITH_IMAGES = MarkdownIt("commonmark", {"html": False, "linkify": False}).enable("table")
 _MARKDOWN = MarkdownIt("commonmark", {"html": False, "linkify": False}).enable("table").disable("image")
@@ -72,5 +73,4 @@ def ranked(text: str, rank: int | None, styles: Mapping[int | None, str]) -> str
 
 def escaped(text: str) -> str:
     """Text escaped for Markdown: neither HTML nor a new cell, line or link."""
-    plain = "".join(letter if letter.isprintable() else " " for letter in text)
-    return re.sub(r"([\\`*_{}\[\]<>|])", r"\\\1", plain)
+    return re.sub(r"([\\`*_{}\[\]<>|])", r"\\\1", printable(text))

@@ -11,7 +11,7 @@ from typing import Any
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.algorithm import Base, RunUser
-from slamhive.domain.names import check_name
+from slamhive.domain.names import check_name, printable
 from slamhive.domain.packages import UNKNOWN, PackageOrigin
 from slamhive.domain.protocol import TrajectoryKind
 from slamhive.domain.sensors import SensorKind, SensorSetup
@@ -73,7 +73,7 @@ def draft_parameters(folder: ForeignFolder, facts: FolderFacts, roles: tuple[str
             yield DraftParameter(name, "string", help_text, said_by, default=f"/{topics[name]}")
             continue
         source = source_of(name, roles)
-        line = " ".join("".join(character if character.isprintable() else " " for character in text).split())
+        line = " ".join(printable(text).split())
         help_text = (line if len(line) <= _LONGEST_HELP else f"{line[: _LONGEST_HELP - 1]}…") or f"{name} of {said_by}."
         if source is not None:
             kind = types.get(name, source[1])
@@ -338,4 +338,4 @@ def _quoted(text: str) -> str:
 
 
 def _comment(text: str) -> str:
-    return " ".join("".join(character if character.isprintable() else " " for character in text).split())
+    return " ".join(printable(text).split())

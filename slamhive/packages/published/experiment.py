@@ -10,7 +10,7 @@ from typing import Any
 from slamhive.base import strict_yaml
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.algorithm import Algorithm
-from slamhive.domain.names import plain
+from slamhive.domain.names import plain, printable
 from slamhive.domain.parameters import Parameter, find_parameter
 from slamhive.packages.published.combination import (
     RATE,
@@ -91,7 +91,7 @@ def convert(
     comments += [f"line {number}: {line.strip()}" for number, line in combination.prose]
     if combination.prose:
         content.notes.append(f"{len(combination.prose)} lines of other text are kept as comments")
-    text = "".join(f"# {_printable(comment)}\n" for comment in comments) + strict_yaml.dump(written)
+    text = "".join(f"# {printable(comment)}\n" for comment in comments) + strict_yaml.dump(written)
     return Converted(name, text, tuple(content.notes))
 
 
@@ -270,10 +270,6 @@ def _unscaled(value: Any, factor: float, what: ChangedValue) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return math.nan
     return value * factor if what.kind is RATE else value / factor
-
-
-def _printable(text: str) -> str:
-    return "".join(character if character.isprintable() else " " for character in text)
 
 
 def other_text(lines: Sequence[tuple[int, str]]) -> Iterator[str]:

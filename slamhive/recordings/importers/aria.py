@@ -240,8 +240,8 @@ def _imu(recording: OutsideRecording, about: AriaPlan, number: int, notes: list[
     name, total = f"imu{number}", len(captured_ns) + imu.invalid
     if imu.invalid:
         notes.append(Loss(imu.invalid, total, f"{imu.invalid} of {total} samples of {imu.label} are marked invalid"))
-    if total - imu.invalid < 2:
-        notes.append(f"{imu.label} has {plural(total - imu.invalid, 'valid sample')}, and is left out")
+    if len(captured_ns) < 2:
+        notes.append(f"{imu.label} has {plural(len(captured_ns), 'valid sample')}, and is left out")
         return None
     gyro_ns, force_ns = round(imu.gyro_offset_s * NS_PER_S), round(imu.force_offset_s * NS_PER_S)
     words = f"{name} is {imu.label}, corrected by the calibration of the factory"

@@ -24,6 +24,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
 
 from slamhive.base.errors import InvalidInput, Unavailable
+from slamhive.domain.names import printable
 from slamhive.recordings.geometry import Array
 from slamhive.recordings.importers.outside_reader import RECORD_HEADER
 from slamhive.recordings.writers import NS_PER_S
@@ -179,12 +180,13 @@ class OutsideRecording:
                 words.seek(max(0, words.seek(0, os.SEEK_END) - _MOST_WORDS_BYTES))
                 text = _COLOURS.sub("", words.read().decode(errors="replace"))
                 # The library may quote the recording, which is from outside: no command may reach a terminal.
-                text = "".join(c if c.isprintable() or c == "\n" else " " for c in text)
-                lines = [line.strip() for line in text.splitlines() if line.strip()] or ["it gave no reason"]
+                said = (printable(line).strip() for line in text.splitlines())
+                lines = [line for line in said if line] or ["it gave no reason"]
                 known = code < 0 and -code in set(signal.Signals)
                 ended = f" (ended by {signal.Signals(-code).name if known else f'signal {-code}'})" if code < 0 else ""
                 raise InvalidInput(
-                    f"{self.library.name} cannot read {self.name}: {lines[-1][:_SHOWN]}{ended}", self._remedy
+                    f"{self.library.name} cannot read {self.name}: {lines[-1][:_SHOWN]}{ended}",
+                    self._remedy,
                 )
 
     @property

@@ -328,9 +328,11 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
             place for place in dict.fromkeys(chosen) if not runs[place] and not look.looks_of(seen.candidates[place])
         ]
         again = [place for place in chosen if runs[place]]
-        behind = [place for place in chosen if not runs[place] and place not in {*looks, *seen.looking, *seen.promoted}]
+        best = seen.promoted
+        settled = {*looks, *seen.looking, *best}
+        behind = [place for place in chosen if not runs[place] and place not in settled]
         behind.sort(key=lambda place: seen.looks.get(place, math.inf))
-        chosen = [*seen.promoted, *behind[:1], *again][:room]
+        chosen = [*best, *behind[:1], *again][:room]
         why += ", or has the best of the first looks"
     counts = Counter(chosen).most_common()
     words = "; ".join(f"{seen.candidates[place].label} ({plural(count, 'run')})" for place, count in counts)
