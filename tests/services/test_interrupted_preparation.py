@@ -20,6 +20,7 @@ from slamhive.domain.run import FailureReason, RunState
 from slamhive.executors.base import ImageMissing, StartFailed
 from slamhive.executors.process.executor import ProcessExecutor
 from slamhive.services.hive import Hive
+from slamhive.services.worker import worker as worker_module
 from slamhive.services.worker.worker import Worker
 from tests.services.working import started_times
 from tests.waiting import PATIENCE_S, eventually
@@ -69,6 +70,7 @@ def test_a_run_that_is_cancelled_meanwhile_is_not_queued_again(hive: Hive, monke
 
     (run,) = hive.runs.submit(SHORT)
     workers.append(hive.worker())
+    monkeypatch.setattr(worker_module, "CANCEL_CHECK_S", 60.0)  # no heartbeat tells the next worker in time
     with monkeypatch.context() as troubled:
         troubled.setattr(ProcessExecutor, "build", interrupted)
         workers[0].run()

@@ -27,11 +27,19 @@ def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def shown(filled: Path) -> Iterator[Web]:
-    """An installation to look at; no test may change it."""
+def looked_at(filled: Path) -> Iterator[Web]:
+    """What ``shown`` is, without the look whether a test has changed it."""
     web = make_web(world.make_hive(filled))
     yield web
     web.hive.close()
+
+
+@pytest.fixture
+def shown(looked_at: Web) -> Iterator[Web]:
+    """An installation to look at; a test that changes it fails, because later tests would fail in its place."""
+    before = world.content(looked_at.hive)
+    yield looked_at
+    assert world.content(looked_at.hive) == before, "the test has changed what all tests look at: let it use 'web'"
 
 
 @pytest.fixture

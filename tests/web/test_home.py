@@ -75,9 +75,9 @@ def test_the_title_says_what_is_going_on(shown: Web) -> None:
     assert "no trajectory" in text
 
 
-def test_nobody_is_told_of_a_missing_worker_while_nothing_waits(shown: Web) -> None:
-    shown.hive.runs.cancel(shown.runs["queued"])
-    assert "No worker is running" not in shown.client.get("/").text
+def test_nobody_is_told_of_a_missing_worker_while_nothing_waits(web: Web) -> None:
+    web.hive.runs.cancel(web.runs["queued"])
+    assert "No worker is running" not in web.client.get("/").text
 
 
 @pytest.mark.parametrize(

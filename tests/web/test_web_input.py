@@ -125,10 +125,10 @@ def test_a_server_that_only_shows_refuses_it_too(shown: Web, tmp_path: Path, add
 
 
 @pytest.fixture(scope="module", params=["127.0.0.1", "0.0.0.0"])
-def bound(shown: Web, request: pytest.FixtureRequest) -> tuple[str, FlaskClient]:
+def bound(looked_at: Web, request: pytest.FixtureRequest) -> tuple[str, FlaskClient]:
     """The address on which a server listens, and a client of it."""
-    app = create_app(shown.hive, host=request.param)
-    app.jinja_env.bytecode_cache = shown.app.jinja_env.bytecode_cache
+    app = create_app(looked_at.hive, host=request.param)
+    app.jinja_env.bytecode_cache = looked_at.app.jinja_env.bytecode_cache
     return request.param, app.test_client()
 
 

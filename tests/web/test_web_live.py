@@ -228,13 +228,13 @@ def test_the_version_changes_with_states_and_not_with_progress():
     assert with_version({**state, "counts": {"queued": 2}})["version"] != version
 
 
-def test_the_version_changes_when_an_evaluation_is_queued_and_when_it_ends(shown: Web):
-    versions = [LiveHub(shown.hive).latest()["version"]]
-    run_id = shown.runs["bare"]
-    shown.hive.evaluations.queue([run_id])
-    versions.append(LiveHub(shown.hive).latest()["version"])
-    world.evaluate_run(shown.hive, run_id, 0.02)
-    versions.append(LiveHub(shown.hive).latest()["version"])
+def test_the_version_changes_when_an_evaluation_is_queued_and_when_it_ends(web: Web):
+    versions = [LiveHub(web.hive).latest()["version"]]
+    run_id = web.runs["bare"]
+    web.hive.evaluations.queue([run_id])
+    versions.append(LiveHub(web.hive).latest()["version"])
+    world.evaluate_run(web.hive, run_id, 0.02)
+    versions.append(LiveHub(web.hive).latest()["version"])
     assert len(set(versions)) == 3
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import shutil
+import sqlite3
 import uuid
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
@@ -253,6 +255,16 @@ def fill(hive: Hive) -> None:
     fail_run(hive, failed)
     start_run(hive, running)
     assert [done, bare, failed, running, queued] == list(RUNS.values())
+
+
+def content(hive: Hive) -> tuple[dict[str, list[Any]], dict[str, tuple[int, int]]]:
+    """The rows of each table, and size and time of each file below ``runs``."""
+    with closing(sqlite3.connect(hive.settings.data / "slamhive.db")) as database:
+        names = [name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+        tables = {name: database.execute(f'SELECT * FROM "{name}"').fetchall() for name in names}
+    runs = hive.settings.runs_folder
+    stats = {str(path.relative_to(runs)): path.stat() for path in sorted(runs.rglob("*")) if path.is_file()}
+    return tables, {name: (stat.st_size, stat.st_mtime_ns) for name, stat in stats.items()}
 
 
 @dataclass

@@ -270,8 +270,11 @@ class RunInHand:
         self.run = self.context.store.read(lambda t: t.runs.get(self.run.id))
 
     def cancel_requested(self) -> bool:
-        """Return whether a user asked to cancel the run."""
-        return self.context.cancel_requested(self.run.id)
+        """Return whether a user asked to cancel the run.
+
+        The row says it of a run that was taken over; the heartbeat may look only after a short run has ended.
+        """
+        return self.run.cancel_requested or self.context.cancel_requested(self.run.id)
 
     def check_owner(self) -> None:
         """Ask the database before the folder is written: after a long suspend, another worker may hold the run."""
