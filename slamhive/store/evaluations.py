@@ -181,14 +181,21 @@ class EvaluationRepository(LeaseQueue[int]):
 
     def uses(self, run_ids: Iterable[int]) -> list[ProtocolUse]:
         """The protocols and trajectories behind the current errors of these runs, without those that have none."""
+        return self._uses([RunRow.id.in_(part) for part in chunks(list(run_ids))])
+
+    def _uses(self, parts: Iterable[ColumnElement[bool]]) -> list[ProtocolUse]:
         runs, protocols = RunRow.__table__, ProtocolRow.__table__
         found: Counter[ProtocolUse] = Counter()
-        for part in chunks(list(run_ids)):
-            query = (
-                select(protocols.c.fingerprint, protocols.c.label, runs.c.trajectory, func.count())
-                .join(protocols, protocols.c.id == runs.c.current_protocol_id)
-                .where(runs.c.id.in_(part))
-                .group_by(protocols.c.fingerprint, protocols.c.label, runs.c.trajectory)
+        for part in parts:
+            # Counted by number before the labels are joined: a large experiment is read once, with nothing to look up.
+            counts = (
+                select(runs.c.current_protocol_id, runs.c.trajectory, func.count().label("number"))
+                .where(part, runs.c.current_protocol_id.is_not(None))
+                .group_by(runs.c.current_protocol_id, runs.c.trajectory)
+                .subquery()
+            )
+            query = select(protocols.c.fingerprint, protocols.c.label, counts.c.trajectory, counts.c.number).join(
+                counts, counts.c.current_protocol_id == protocols.c.id
             )
             for fingerprint, label, trajectory, count in self._connection.execute(query):
                 found[ProtocolUse(fingerprint, label, trajectory, 0)] += count
@@ -196,11 +203,20 @@ class EvaluationRepository(LeaseQueue[int]):
 
     def mixed_of(self, run_ids: Iterable[int]) -> MixedProtocols | None:
         """The protocols of these runs if they are not comparable, with the one that all of them can have."""
-        wanted = list(run_ids)
-        return self.mixed(self.uses(wanted), wanted)
+        parts = [RunRow.id.in_(part) for part in chunks(list(run_ids))]
+        return self._mixed(self._uses(parts), parts)
 
-    def mixed(self, uses: Iterable[ProtocolUse], run_ids: Iterable[int] = ()) -> MixedProtocols | None:
-        """The same for runs whose protocols are known; ``run_ids`` tell which protocols were tried in vain."""
+    def mixed_in(self, experiment_id: int) -> MixedProtocols | None:
+        """The same for all runs of an experiment, however many: no ids are read."""
+        runs = [RunRow.experiment_id == experiment_id]
+        return self._mixed(self._uses(runs), runs)
+
+    def mixed(self, uses: Iterable[ProtocolUse]) -> MixedProtocols | None:
+        """The same for runs whose protocols are known, without a look at what was tried in vain."""
+        return self._mixed(uses, ())
+
+    def _mixed(self, uses: Iterable[ProtocolUse], parts: Iterable[ColumnElement[bool]]) -> MixedProtocols | None:
+        """``parts`` are the conditions of the runs, which tell which protocols were tried in vain."""
         found = list(uses)
         mixed = mixed_protocols(found)
         if mixed is None:
@@ -212,16 +228,17 @@ class EvaluationRepository(LeaseQueue[int]):
             for kind in domain.TrajectoryKind
         )
         definitions |= self.definitions(set(kinds))
-        return mixed_protocols(found, definitions, self._refused(list(run_ids), definitions))
+        return mixed_protocols(found, definitions, self._refused(parts, definitions))
 
-    def _refused(self, run_ids: Sequence[int], fingerprints: Collection[str]) -> dict[str, int]:
+    def _refused(self, parts: Iterable[ColumnElement[bool]], fingerprints: Collection[str]) -> dict[str, int]:
         """{fingerprint: number of these runs whose evaluations under it all failed}."""
         failed: dict[str, set[int]] = {}
-        for part in chunks(run_ids):
+        for part in parts:
             query = (
                 select(ProtocolRow.fingerprint, _TABLE.c.run_id)
                 .join(_TABLE, _TABLE.c.protocol_id == ProtocolRow.id)
-                .where(_TABLE.c.run_id.in_(part), _TABLE.c.state == EvaluationState.FAILED)
+                .join(RunRow, RunRow.id == _TABLE.c.run_id)
+                .where(part, _TABLE.c.state == EvaluationState.FAILED)
                 .where(ProtocolRow.fingerprint.in_(sorted(fingerprints)))
             )
             for fingerprint, run_id in self._connection.execute(query):

@@ -69,6 +69,16 @@ def test_a_held_run_is_never_claimed(store: Store, samples: Samples) -> None:
     assert store.read(lambda tx: tx.runs.get(held)).state is RunState.QUEUED
 
 
+def test_the_promised_order_counts_what_may_start_before_and_no_run_that_is_held(store: Store, samples: Samples) -> None:
+    samples.queued(3, held=True)
+    samples.queued(2)
+    samples.queued(priority=-1)
+    (urgent,) = samples.queued(priority=5)
+    assert [store.read(lambda tx, p=p: tx.queue.ahead_of(p)) for p in (-1, 0, 1, 5, 6)] == [4, 3, 1, 1, 0]
+    assert claim(store).id == urgent
+    assert store.read(lambda tx: tx.queue.ahead_of(0)) == 2, "a run that was taken is not ahead of anything"
+
+
 def test_runs_of_an_executor_that_is_away_stay_where_they_are(store: Store, samples: Samples) -> None:
     samples.queued(executor="docker", priority=5)
     (here,) = samples.queued(executor="process")

@@ -16,9 +16,12 @@ from slamhive.cli import main
 from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
 from slamhive.domain.side_by_side import of_live
 from slamhive.filters.binding import Search
+from slamhive.services.executors import Executors
+from slamhive.services.experiments import ExperimentSource
 from slamhive.services.stored_analyses.computing import AnalysisJobs
 from slamhive.store.searches import SearchRepository
 from tests.web import web_world as world
+from tests.web.test_web_experiments import TRIAL
 from tests.web.web_world import PROTOCOL, Web
 
 pytestmark = pytest.mark.quick
@@ -190,6 +193,37 @@ def test_a_run_without_a_live_trajectory_is_named_instead_of_offered_again(web: 
     text = banner(web, "/runs")
     assert "No evaluation of the live trajectory of 1 run succeeded." in text
     assert "Evaluate all" not in text
+
+
+@pytest.mark.parametrize("large", [None, 1], ids=["small", "large"])
+def test_the_page_of_an_experiment_of_any_size_has_the_banner_whose_button_comes_back(
+    web: Web, monkeypatch: pytest.MonkeyPatch, large: int | None
+) -> None:
+    """An experiment with more configurations than a page counts at once had no banner."""
+    if large is not None:
+        monkeypatch.setattr("slamhive.web.views.experiments.LARGE", large)
+    monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
+    web.hive.experiments.start(ExperimentSource(TRIAL))
+    mono, stereo = (
+        [run.id for cell in web.hive.experiments.cells("trial", first, 1).cells for run in cell.runs]
+        for first in (0, 3)
+    )
+    for run in mono:
+        world.finish_run(web.hive, run)
+        world.evaluate_run(web.hive, run, protocol=SIM3)
+    address = "/experiments/trial?tab=setup"
+    assert banner(web, address) == "", "one protocol, and the runs of others do not count"
+    for run in stereo:
+        world.finish_run(web.hive, run)
+        world.evaluate_run(web.hive, run)
+    text = banner(web, address)
+    assert "2 runs use SE(3), 2 Sim(3): not comparable." in text
+    assert "Evaluate all under Sim(3)</button>" in text
+    assert press(web, text) == address
+    assert {entry.run_id: entry.protocol for entry in web.hive.evaluations.waiting()} == dict.fromkeys(stereo, SIM3)
+    for run in stereo:
+        world.evaluate_run(web.hive, run, 0.02, protocol=SIM3)
+    assert banner(web, address) == ""
 
 
 @pytest.mark.integration

@@ -115,6 +115,10 @@ class CurrentProtocols:
         """The protocols of these runs if their errors are not comparable, with the one that all can have."""
         return self._store.read(lambda t: t.evaluations.mixed_of(run_ids))
 
+    def mixed_in(self, experiment: str) -> MixedProtocols | None:
+        """The same for all runs of an experiment, however many. Raises NotFound."""
+        return self._store.read(lambda t: t.evaluations.mixed_in(t.experiments.get(experiment).id))
+
     def _known(self, fingerprint: str) -> Protocol:
         found = self._store.read(lambda t: t.evaluations.definitions([fingerprint]))
         if fingerprint not in found:

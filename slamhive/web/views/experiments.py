@@ -107,7 +107,7 @@ def show(name: str) -> str:
         failing=experiments.is_failing(status),
         answer=experiments.answer(name) if small else None,
         question=question(status.description, stated_values(parse_experiment(experiments.source(name).text))),
-        mixed=hive().current_protocols.mixed(hive().searches.find(_where(name))) if small else None,
+        mixed=hive().current_protocols.mixed_in(name),
         where=_where(name),
         tab=tab,
         tabs=TABS,
