@@ -38,7 +38,8 @@
 
   function latex([head, ...body], table) {
     const safe = (text) => text.replace(/[\\&%$#_{}~^±–×²°µ]/g, (sign) => LATEX[sign] ?? `\\${sign}`).trim();
-    const value = (text) => /^-?[\d.,]+ ± [\d.,]+$/.test(text) ? `$${text.replace("±", "\\pm")}$` : safe(text);
+    const power = (text) => text.replace(/e([-+]\d+)/g, (_, exponent) => ` \\times 10^{${Number(exponent)}}`);
+    const value = (text) => /^-?[\d.,]+ ± [\d.,]+(e-\d+)?$/.test(text) ? `$${power(text.replace("±", "\\pm"))}$` : safe(text);
     const line = (row) => `${row.map((cell) => value(mainText(cell))).join(" & ")} \\\\`;
     const columns = head.map((cell) => isNumber(cell) ? "r" : "l").join("");
     const caption = table.dataset.latexCaption ? [`\\caption{${safe(table.dataset.latexCaption)}}`] : [];

@@ -13,6 +13,7 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say
 from slamhive.cli.waiting import experiment_to_end
+from slamhive.domain.names import value_within
 from slamhive.domain.question import ExperimentQuestion, QuestionAnswer
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments import ExperimentSource
@@ -129,7 +130,7 @@ def print_decision(found: Decision) -> None:
             None if entry.mean is None else f"{entry.mean:.4g}",
             None
             if entry.difference is None or not entry.difference_within
-            else f"{entry.difference:.3g} ± {entry.difference_within:.2g}",
+            else value_within(entry.difference, entry.difference_within),
             entry.beaten_by,
         )
         for entry in found.candidates

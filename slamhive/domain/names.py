@@ -43,13 +43,22 @@ def plural(count: int, noun: str, many: str | None = None) -> str:
 def mean_and_std(mean: float, std: float | None) -> str:
     """``0.0312 ± 0.0008``: three significant digits of the mean, one more if the spread is smaller than they show.
 
-    Both have the same decimals. The mean alone without a standard deviation.
+    Both have the same decimals. A spread too small for them has its own two digits: ``0.0191 ± 3.0e-06``. One that is
+    rounding is 0. The mean alone without a standard deviation.
     """
     whole = std in (None, 0.0) and float(mean).is_integer()
     digits = 0 if whole else max(0, 2 - _exponent(mean))
-    if std and round(std, digits + 1):
-        digits = min(max(digits, -_exponent(std)), digits + 1)
-    return f"{mean:.{digits}f}" if std is None else f"{mean:.{digits}f} ± {std:.{digits}f}"
+    if std is None:
+        return f"{mean:.{digits}f}"
+    if not round(std, digits + 1):
+        return f"{mean:.{digits}f} ± {'0' if std < 1e-9 * abs(mean) or not std else f'{std:#.2g}'}"
+    digits = min(max(digits, -_exponent(std)), digits + 1)
+    return f"{mean:.{digits}f} ± {std:.{digits}f}"
+
+
+def value_within(value: float, half_width: float) -> str:
+    """``0.0312 ± 0.0008``: a value with half of its interval, in the digits of :func:`mean_and_std`."""
+    return mean_and_std(value, half_width)
 
 
 def _exponent(value: float) -> int:

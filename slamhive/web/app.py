@@ -234,6 +234,7 @@ def _add_template_words(app: Flask, hive: Hive) -> None:
         outcome_words=outcome_words,
         markdown=lambda text: Markup(markdown_html(text)),  # noqa: S704 - markdown_html escapes HTML
         plural=formatting.plural,
+        mean_text=formatting.mean_text,
         significant=formatting.significant,
         size=formatting.size,
         thousands=formatting.thousands,

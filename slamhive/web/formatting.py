@@ -74,16 +74,8 @@ def metric_cell(metric: Metric, value: float | None) -> TableCell:
 
 
 def mean_text(mean: float, std: float | None) -> str:
-    """``0.112 ± 0.010``, or the value of a single run.
-
-    A deviation too small for the digits of the mean has its own two: ``0.0191 ± 3.0e-06``. One that is rounding is 0.
-    """
-    if std is None:
-        return significant(mean)
-    if std < 1e-9 * abs(mean):
-        return f"{significant(mean)} ± 0"
-    text = mean_and_std(mean, std)
-    return text if float(text.rpartition(" ")[2]) else f"{significant(mean)} ± {significant(std, 2)}"
+    """``0.112 ± 0.010`` as :func:`mean_and_std` writes it, or the value of a single run."""
+    return significant(mean) if std is None else mean_and_std(mean, std)
 
 
 def median_text(n: int, median: float) -> str:

@@ -35,7 +35,17 @@ from slamhive.services.runs import TrackFiles, run_series
 from slamhive.services.stored_analyses import REPORT, AnalysisFolder
 from slamhive.store.records import AnalysisRecord, AnalysisState, RunRecord
 from slamhive.web.assets import PLOTLY_FILE
-from slamhive.web.formatting import display_unit, duration, exact_time, plural, significant, size, thousands, value_text
+from slamhive.web.formatting import (
+    display_unit,
+    duration,
+    exact_time,
+    mean_text,
+    plural,
+    significant,
+    size,
+    thousands,
+    value_text,
+)
 from slamhive.web.presenters import catalogue, rankings
 from slamhive.web.presenters.catalogue import ground_truth_figures, match_of_configuration, match_of_run
 from slamhive.web.presenters.runs import metric_rows, outcome, parameter_rows, wall_time_s
@@ -273,7 +283,7 @@ class StaticSite:
 
 def _environment(project_root: Path) -> Environment:
     environment = report_environment(project_root)
-    words = (plural, duration, exact_time, significant, size, thousands, value_text)
+    words = (plural, duration, exact_time, mean_text, significant, size, thousands, value_text)
     environment.filters |= {function.__name__: function for function in words}
     return environment
 

@@ -69,12 +69,12 @@ def test_a_held_run_is_never_claimed(store: Store, samples: Samples) -> None:
     assert store.read(lambda tx: tx.runs.get(held)).state is RunState.QUEUED
 
 
-def test_the_promised_order_counts_what_may_start_before_and_no_run_that_is_held(store: Store, samples: Samples) -> None:
+def test_only_runs_that_may_start_before_a_new_one_count_as_ahead_of_it(store: Store, samples: Samples) -> None:
     samples.queued(3, held=True)
     samples.queued(2)
     samples.queued(priority=-1)
     (urgent,) = samples.queued(priority=5)
-    assert [store.read(lambda tx, p=p: tx.queue.ahead_of(p)) for p in (-1, 0, 1, 5, 6)] == [4, 3, 1, 1, 0]
+    assert store.read(lambda tx: list(map(tx.queue.ahead_of, (-1, 0, 1, 5, 6)))) == [4, 3, 1, 1, 0]
     assert claim(store).id == urgent
     assert store.read(lambda tx: tx.queue.ahead_of(0)) == 2, "a run that was taken is not ahead of anything"
 

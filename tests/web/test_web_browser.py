@@ -508,6 +508,9 @@ def test_tables_are_copied_as_csv_markdown_and_latex(browsing: Page) -> None:
     assert latex[begin + 1] == "\\toprule"
     assert latex[begin + 4] == "1 & eye-slam-stereo & 0.0457 & 1.25 \\\\"
     assert head.count("|") == 5
+    browsing.goto("/runs?group=configuration&where=id = 1&columns=id,algorithm,ate.rmse")
+    (row,) = (line for line in copied(browsing, "LaTeX") if "eye-slam-stereo" in line)
+    assert " & 1 of 5 & " in row, "a part of a group says so in a paper too"
 
 
 def test_the_keys_lead_everywhere(browsing: Page) -> None:

@@ -61,7 +61,7 @@ def test_pages_show_each_answer_and_hostile_text_stays_text(web: Web):
     assert world.HOSTILE not in page
     assert 'src="/claims/paper/badge.svg" alt="claims: 1 of 4 hold"' in page
     assert '<a href="/runs/1">1</a>, <a href="/runs/3" title="failed">3</a>' in page
-    for text in ("5.1 ± 0.02 cm", "differs", "cannot be run", "ate.rmse is 5.02 cm under Sim(3), 10 ms (as evo)"):
+    for text in ("5.10 ± 0.02 cm", "differs", "cannot be run", "ate.rmse is 5.02 cm under Sim(3), 10 ms (as evo)"):
         assert text in page
 
 

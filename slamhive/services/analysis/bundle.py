@@ -108,7 +108,8 @@ def table_latex(table: ResultTable) -> str:
             elif isinstance(cell, float):
                 text = f"{cell:.4g}"
             elif spread := _SPREAD.match(str(cell)):
-                text = rf"${spread[1]} \pm {spread[2]}${latex(spread[3] or '')}"
+                power = rf" \times 10^{{{int(spread[3])}}}" if spread[3] else ""
+                text = rf"${spread[1]} \pm {spread[2]}{power}${latex(spread[4] or '')}"
             else:
                 text = latex(str(cell))
             cells.append(ranked(text, table.rank(place, at), _LATEX_RANKS))
@@ -119,7 +120,7 @@ def table_latex(table: ResultTable) -> str:
     return "\n".join([*lines, ""])
 
 
-_SPREAD = re.compile(r"(-?[\d.]+) ± ([\d.]+)( \(.*\))?$")
+_SPREAD = re.compile(r"(-?[\d.]+) ± ([\d.]+)(?:e(-\d+))?( \(.*\))?$")
 """A mean with its standard deviation, as :func:`mean_and_std` writes it."""
 
 

@@ -34,7 +34,6 @@ from slamhive.web.formatting import (
     mean_text,
     median_text,
     plural,
-    significant,
     size,
     thousands,
     value_text,
@@ -209,11 +208,10 @@ def heat_map(view: GridView, grid: ExperimentGrid, metric: Metric, means: Metric
             continue
         cell = TableCell(DASH, f"no good run with {metric.label}", missing=True)
         if mean is not None:
-            text = significant(mean.mean * factor)
-            spread = "" if mean.std is None else f"± {significant(mean.std * factor, 2)}"
-            cell = TableCell(text, f"mean of {plural(mean.n, 'good run')}", note=spread, heat=heat)
-        explanation = f"{entry.explanation}; {metric.label} {cell.text} {unit_of(metric)} {cell.note}, {cell.exact}"
-        lines[row][column] = replace(entry, value=cell, explanation=" ".join(explanation.split()))
+            text = mean_text(mean.mean * factor, None if mean.std is None else mean.std * factor)
+            cell = TableCell(text, f"mean of {plural(mean.n, 'good run')}", heat=heat)
+        explanation = f"{entry.explanation}; {metric.label} {cell.text} {unit_of(metric)}".rstrip()
+        lines[row][column] = replace(entry, value=cell, explanation=f"{explanation}, {cell.exact}")
     notes = [f"protocol {means.protocol.label}"] if means.protocol and metric.needs_protocol else []
     if means.other_runs:
         notes.append(f"{plural(means.other_runs, 'good run')} under other protocols left out")

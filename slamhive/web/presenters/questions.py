@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from slamhive.documents.experiment import Decision, DecisionCandidate, SearchStanding
 from slamhive.domain.metrics import Metric, described
+from slamhive.domain.names import value_within
 from slamhive.experiments.experiment import FAILED
 from slamhive.web.formatting import DASH, TableCell, display_unit, metric_cell, plural, significant, thousands
 from slamhive.web.small_plots import axis_of
@@ -197,4 +198,4 @@ def _behind(entry: DecisionCandidate, metric: Metric) -> str:
     if entry.difference is None or entry.difference_within is None:
         return DASH
     factor = display_unit(metric).factor
-    return f"{significant(entry.difference * factor)} ± {significant(entry.difference_within * factor, 2)}"
+    return value_within(entry.difference * factor, entry.difference_within * factor)
