@@ -1,6 +1,6 @@
 """What takes long to make is made once in a test run, and all its processes share it.
 
-The folder holds ``environments`` of test algorithms (each takes five seconds of CPU time), datasets and plug-ins.
+The folder holds ``environments`` of test algorithms (the first takes five seconds of CPU time), datasets and plug-ins.
 """
 
 from __future__ import annotations

@@ -12,13 +12,15 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 from pathlib import Path
 
 import psutil
 import pytest
 
 from slamhive.base.errors import Unavailable
-from slamhive.executors.process import confinement, executor
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.executors.process import confinement, environment, executor
 from slamhive.executors.process.executor import launch
 from slamhive.executors.process.exit_file import EXIT_FILE, LostOutput, reserve, write_exit
 from slamhive.executors.process.shim_spec import ShimSpec
@@ -79,6 +81,44 @@ def test_resource_limits(bench):
     assert core == [0, 0]
     assert 0 < files[0] == files[1] <= 65_536
     assert 0 < size[0] == size[1] != resource.RLIM_INFINITY
+
+
+@pytest.mark.integration
+def test_what_all_environments_need_is_installed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def asked_for(package: str) -> Path:
+        wheel = tmp_path / f"{package}-1-py3-none-any.whl"
+        with zipfile.ZipFile(wheel, "w") as packed:
+            about = f"{package}-1.dist-info"
+            packed.writestr(f"{package}.py", "")
+            packed.writestr(f"{about}/METADATA", f"Metadata-Version: 2.1\nName: {package}\nVersion: 1\n")
+            packed.writestr(f"{about}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n")
+            packed.writestr(
+                f"{about}/RECORD", f"{package}.py,,\n{about}/METADATA,,\n{about}/WHEEL,,\n{about}/RECORD,,\n"
+            )
+        wanted = tmp_path / f"{package}.txt"
+        wanted.write_text(str(wheel))
+        monkeypatch.setattr(environment, "RUNTIME_REQUIREMENTS", wanted)
+        return wheel
+
+    def has(name: str, module: str) -> bool:
+        (tmp_path / name).mkdir(exist_ok=True)
+        (tmp_path / name / "requirements.txt").write_text("# nothing more\n")
+        package = AlgorithmPackage(name, tmp_path / name, "Demo", "1", "", "", "")
+        made = environments.find(name, environments.build(package, lambda line: None))
+        assert made.ready
+        return (
+            subprocess.run([made.python, "-c", f"import {module}"], check=False, stderr=subprocess.PIPE).returncode == 0
+        )
+
+    environments = environment.Environments(tmp_path / "data")
+    wheel = asked_for("older")
+    assert has("first", "older")
+    wheel.unlink()
+    assert has("second", "older"), "nothing is left of which it could be installed again"
+    asked_for("newer")
+    assert has("second", "newer")
+    assert not has("second", "older")
+    assert len(list((tmp_path / "data" / "environments").glob("runtime-packages-*"))) == 1, "the older ones are gone"
 
 
 def test_all_who_ask_first_get_one_installation_id(tmp_path):
