@@ -57,11 +57,11 @@
   const digits = (value) => value.toPrecision(3);
 
   /** Which metrics are not marked, and why; as services/run_comparison.py has it for the pages of a server. */
-  function unmarkedParts(runs, protocols) {
+  function unmarkedParts(runs, mixed) {
     const several = (key) => new Set(runs.map((run) => run[key]).filter(Boolean)).size;
     const parts = [];
     if (several("dataset") > 1) return [{ holds: () => true, words: `Nothing is marked as better: the runs are of ${several("dataset")} datasets.` }];
-    const accuracy = protocols > 1 ? `the runs are evaluated under ${protocols} protocols` : several("trajectory") > 1 ? "kinds of trajectories are mixed" : "";
+    const accuracy = !mixed ? "" : mixed.onlyTrajectories ? "kinds of trajectories are mixed" : `the runs are evaluated under ${mixed.protocols} protocols`;
     if (accuracy) parts.push({ holds: (metric) => metric.accuracy, words: `No accuracy is marked as better: ${accuracy}.` });
     if (several("cpu") > 1) parts.push({ holds: (metric) => !metric.accuracy, words: `No CPU, memory or time is marked as better: the runs are of ${several("cpu")} CPU models.` });
     return parts;
@@ -233,14 +233,15 @@
     const columns = groups.columns(runs, grouped);
     offerGroups(runs);
     const datasets = new Set(runs.map((run) => run.dataset));
-    const protocols = new Map(runs.filter((run) => run.protocol).map((run) => run.protocol));
-    const without = runs.filter((run) => !run.protocol).map((run) => run.id);
+    const protocols = new Map(runs.filter((run) => run.use).map(({ use: [fingerprint, label] }) => [fingerprint, label]));
+    const mixed = slamhiveProtocols.show(runs.map((run) => run.use).filter(Boolean));
+    const without = runs.filter((run) => !run.use).map((run) => run.id);
     document.querySelector("h1").textContent = grouped ? `Comparison of ${columns.length} configuration${columns.length > 1 ? "s" : ""}` : `Comparison of ${runs.length} runs`;
     const words = [...protocols].map(([fingerprint, label]) => `${label} (${fingerprint})`);
     const lines = [protocols.size === 1 ? `Protocol: ${words[0]}.` : protocols.size ? `Protocols: ${words.join("; ")}.` : "None of these runs is evaluated."];
     if (protocols.size && without.length) lines.push(`Not evaluated: ${without.length > 1 ? "runs" : "run"} ${without.join(", ")}.`);
     says.textContent = lines.join(" ");
-    const unmarked = unmarkedParts(runs, protocols.size);
+    const unmarked = unmarkedParts(runs, mixed);
     const chance = grouped ? ", a difference that chance explains (Welch, 95 %)" : "";
     const means = grouped ? " Means leave failed runs out; below each mean is its 95 % interval (Student)." : "";
     const rule = `The better value is marked with ★. There is no mark on a tie${chance}, or for a metric without a better direction. A run that failed or is very doubtful is never marked.${means}`;

@@ -2,7 +2,7 @@
 "use strict";
 (() => {
   const PAGE = 100;
-  const { columns, rows } = window.slamhiveRuns;
+  const { columns, rows, uses, used } = window.slamhiveRuns;
   const texts = rows.map((row) => row.map((value) => value === null ? "" : String(value)).join("\n").toLowerCase());
   const numeric = columns.map((_, place) => rows.some((row) => typeof row[place] === "number"));
   const table = document.getElementById("runs");
@@ -95,6 +95,7 @@
     const tests = search.value.split(/\s+/).filter(Boolean).map(wanted);
     shown = rows.map((_, index) => index).filter((index) => tests.every((holds) => holds(index))).sort(compareRows);
     first = 0;
+    slamhiveProtocols.show(shown.filter((index) => used[index] !== null).map((index) => uses[used[index]]));
     show();
   }
 

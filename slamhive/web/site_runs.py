@@ -23,13 +23,14 @@ from slamhive.base.bounds import parse_json_object
 from slamhive.base.errors import NotFound, SlamHiveError
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.metrics import CATALOGUE, Metric, with_unknown
+from slamhive.domain.side_by_side import ProtocolUse
 from slamhive.domain.verdict import Outcome, outcome_words
 from slamhive.run_folder.point_cloud import MapCloud
 from slamhive.services.analysis import script_json
 from slamhive.services.hive import Hive
 from slamhive.services.run_comparison import RunColumn, settings_of
 from slamhive.services.runs import RunScene, RunSeries, TrackFiles, path_of
-from slamhive.store.records import RunRecord
+from slamhive.store.records import RunRecord, protocol_uses
 from slamhive.trajectory.alignment import IDENTITY, Similarity
 from slamhive.web.figures import best_plane, captions, run_figures
 from slamhive.web.formatting import display_unit
@@ -108,15 +109,19 @@ def run_script(run: RunRecord, record: Mapping[str, Any], drawn: Mapping[str, An
         "state": state_words(run),
         "failed": failed,
         "rival": RunColumn((run,), (run.id,) if failed else ()).can_be_better,
-        "trajectory": None if run.trajectory is None else run.trajectory.value,
         "cpu": None if run.host is None else run.host.cpu_model,
-        "protocol": None if run.protocol is None else [run.protocol.fingerprint, run.protocol.label],
+        "use": next(map(protocol_use, protocol_uses([run])), None),
         "metrics": {row.metric.key: [figures[row.metric.key], row.cell.text, row.cell.exact] for row in rows},
         "settings": settings_of(run, record),
         "scene": scene,
         **drawn,
     }
     return f"window.slamhiveRun({script_json(content)});\n"
+
+
+def protocol_use(use: ProtocolUse) -> list[str | None]:
+    """A protocol as ``site-protocols.js`` takes it."""
+    return [use.fingerprint, use.full_label, None if use.trajectory is None else use.trajectory.value]
 
 
 def metric_definitions(keys: Sequence[str]) -> list[dict[str, Any]]:
@@ -155,6 +160,7 @@ def table_row(run: RunRecord) -> dict[str, Any]:
         "experiment": run.experiment,
         "parameters": ", ".join(f"{key} {value}" for key, value in run.parameters.items()),
         "protocol": None if run.protocol is None else run.protocol.label,
+        "use": next(map(protocol_use, protocol_uses([run])), None),
         **{key: figures[key] * display_unit(CATALOGUE[key]).factor for key in _METRICS if key in figures},
     }
 
@@ -170,7 +176,17 @@ def table_script(rows: Sequence[Mapping[str, Any]]) -> str:
         for key in _METRICS
         if key in present
     ]
-    content = {"columns": columns, "rows": [[row.get(column["key"]) for column in columns] for row in rows]}
+    uses = [row["use"] for row in rows]
+    known: list[list[str | None]] = []
+    for use in uses:
+        if use is not None and use not in known:
+            known.append(use)
+    content = {
+        "columns": columns,
+        "rows": [[row.get(column["key"]) for column in columns] for row in rows],
+        "uses": known,
+        "used": [None if use is None else known.index(use) for use in uses],
+    }
     return f"window.slamhiveRuns = {script_json(content)};\n"
 
 
@@ -304,7 +320,7 @@ def _script(name: str, content: Any) -> str:
 
 PAGES = "pages.json"
 """The file beside the pages that says of what each was made."""
-LAYOUT = 2
+LAYOUT = 3
 """Counts up when pages of runs of this version have another content than those of the commits before."""
 _MOST_BYTES = 500_000_000
 _DIGITS = 32

@@ -86,7 +86,7 @@ LOG_BYTES = 16_000
 """Of the end of the log of each run."""
 _ASSETS = (
     *("tokens.css", "report.css", "print.css", "plots.js", "report.js", "site.css", "site-list.js", "site-plots.js"),
-    *("site-groups.js", "site-compare.js", "curves.js", "planes.js", "figures.css"),
+    *("site-groups.js", "site-protocols.js", "site-compare.js", "curves.js", "planes.js", "figures.css"),
     *("vendor/uplot/uPlot.iife.min.js", "vendor/uplot/uPlot.min.css"),
     *("viewer.css", "viewer.js", "site-load.js", "site-viewer.js"),
 )
@@ -401,7 +401,14 @@ class CataloguePages:
             place.with_name(f"{place.name}.js").write_text(script, encoding="utf-8")
         scene = scene_name(name) if dataset is not None and self._scenes.write_dataset(place.parent, dataset) else None
         self._render(
-            "dataset", place, name=name, dataset=dataset, shares=_shares(rows, "algorithm"), drawn=drawn, scene=scene
+            "dataset",
+            place,
+            name=name,
+            dataset=dataset,
+            shares=_shares(rows, "algorithm"),
+            mixed=self._hive.current_protocols.mixed(row["id"] for row in rows),
+            drawn=drawn,
+            scene=scene,
         )
 
     def _algorithm(self, place: Path, name: str, rows: Sequence[Row]) -> None:
@@ -428,6 +435,7 @@ class CataloguePages:
             title=None if status is None else rankings.title(status),
             columns=rankings.columns(),
             shares=shares,
+            mixed=self._hive.current_protocols.mixed(row["id"] for row in rows),
         )
 
     def _render(self, kind: str, place: Path, **content: Any) -> None:

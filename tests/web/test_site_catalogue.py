@@ -63,7 +63,15 @@ def test_a_site_counts_outcomes_and_never_puts_medians_of_two_protocols_side_by_
     (mono,) = world.add_runs(hive, 1, "eye-slam-mono")
     world.finish_run(hive, mono)
     world.evaluate_run(hive, mono, 0.01, protocol=Protocol(Alignment.SIM3))
-    assert [text for text in counts(published(hive)) if not text.isdigit()] == ["several protocols"] * 2
+    hive.experiments.start(ExperimentSource(TRIAL))
+    protocols = (world.PROTOCOL, Protocol(Alignment.SIM3))
+    for run_id, protocol in zip(hive.experiments.run_ids("trial"), protocols, strict=False):
+        world.finish_run(hive, run_id)
+        world.evaluate_run(hive, run_id, 0.01, protocol=protocol)
+    site = published(hive)
+    assert [text for text in counts(site) if not text.isdigit()] == ["several protocols"] * 2
+    for page, said in (("datasets/room", "2 runs use SE(3), 2 Sim(3)"), ("experiments/trial", "1 run uses")):
+        assert f'<p class="mixed"><strong>{said}' in (site / f"{page}.html").read_text()
 
 
 def test_a_failed_run_has_the_end_of_its_log(hive: Hive) -> None:

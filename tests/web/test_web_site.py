@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import http.server
+import random
 import shutil
 import threading
 from collections.abc import Iterator
@@ -13,7 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from slamhive.domain.protocol import Alignment, Protocol, TrajectoryKind
+from slamhive.domain.side_by_side import ProtocolUse, mixed_protocols
 from slamhive.services.experiments import ExperimentSource
+from slamhive.web.site_runs import protocol_use
 from slamhive.web.static_site import SiteRequest, StaticSite
 from tests.services.test_trash import end
 from tests.web import web_world as world
@@ -30,6 +34,8 @@ FIGURE = "document.querySelector('[data-plot={}] + details').figure"
 """What a plot draws, which the table below it reads."""
 REPEATED_ATE_M = {20: 0.021, 21: 0.019, 22: 0.02, 23: 0.041}
 """Repeats of runs 6 (the first three) and 7."""
+MONO, SIM3 = 24, Protocol(Alignment.SIM3)
+"""A run of a single camera, and its protocol."""
 ANALYSIS = """\
 name: All runs
 select: {all: {where: "id >= 1"}}
@@ -56,6 +62,9 @@ def site(filled: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         world.finish_run(hive, run_id, {"cpu.mean": 1.0, "ram.max": 3e8})
         world.evaluate_run(hive, run_id, ate_m)
     scale_errors(hive.runs.folder(21).root)
+    assert world.add_runs(hive, 1, "eye-slam-mono") == [MONO]
+    world.finish_run(hive, MONO, {"cpu.mean": 0.5, "ram.max": 3e8})
+    world.evaluate_run(hive, MONO, 0.051, protocol=SIM3)
     write_map(hive.runs.folder(world.RUNS["done"]).map)
     hive.stored_analyses.create(ANALYSIS)
     assert hive.analysis_jobs.work_once("tests", threading.Event())
@@ -107,9 +116,11 @@ def rows(page: Page) -> list[str]:
 def test_runs_are_found_ordered_and_compared(chromium: Browser, place: str) -> None:
     with faultless(chromium, place) as page:
         page.goto(f"{place}/index.html")
-        assert rows(page) == ["1", "2", "3", "6", "7", "8", "9", "20", "21", "22", "23"]
+        assert rows(page) == ["1", "2", "3", "6", "7", "8", "9", "20", "21", "22", "23", "24"]
+        page.locator("[data-mixed]").get_by_text("7 runs use SE(3), 1 Sim(3): not comparable.").wait_for()
         page.get_by_label("Search").fill("ate.rmse<0.045")
         assert rows(page) == ["6", "7", "20", "21", "22", "23"]
+        assert page.locator("[data-mixed]").is_hidden(), "all of these are under one protocol"
         page.get_by_label("Search").fill("ate.rmse<0.045 run<20")
         assert rows(page) == ["6", "7"]
         page.get_by_role("button", name="ATE RMSE").click()
@@ -167,6 +178,43 @@ def test_repeats_are_one_column_with_mean_and_band(chromium: Browser, site: Path
         assert seeds.count() == 0, "it differs between the columns"
         page.get_by_role("link", name="Show single runs").click()
         page.locator("h1", has_text="Comparison of 6 runs").wait_for()
+
+
+def test_runs_under_two_protocols_are_said_not_to_compare_and_no_accuracy_is_marked(
+    chromium: Browser, site: Path
+) -> None:
+    with faultless(chromium, site.as_uri()) as page:
+        page.goto(f"{site.as_uri()}/compare.html?runs=6,7,{MONO}")
+        page.locator("[data-mixed]").get_by_text("2 runs use SE(3), 1 Sim(3): not comparable.").wait_for()
+        page.locator("#marks").get_by_text("No accuracy is marked as better: the runs are evaluated under 2").wait_for()
+        assert page.locator("tr", has_text="ATE RMSE").locator(".best").count() == 0
+        assert page.locator("tr", has_text="CPU mean").locator(".best").inner_text() == "★ 0.500"
+        page.goto(f"{site.as_uri()}/compare.html?runs=6,7")
+        page.locator("tr", has_text="ATE RMSE").locator(".best").wait_for()
+        assert page.locator("[data-mixed]").is_hidden()
+
+
+def test_a_site_follows_the_rule_of_a_server_in_its_words(chromium: Browser, site: Path) -> None:
+    """The script of a site says of any runs what the server says."""
+    drawn = random.Random(1)
+    protocols = [
+        Protocol(alignment, trajectory=kind)
+        for alignment in (Alignment.SE3, Alignment.SIM3, Alignment.NONE)
+        for kind in (None, TrajectoryKind.LIVE)
+    ]
+    cases = []
+    for _ in range(200):
+        chosen = [drawn.choice(protocols[: drawn.choice((1, 2, 6))]) for _ in range(drawn.randint(1, 12))]
+        kinds = [drawn.choice([None, *TrajectoryKind][: drawn.choice((1, 2, 4))]) for _ in chosen]
+        cases.append([ProtocolUse(one.fingerprint, one.label, kind) for one, kind in zip(chosen, kinds, strict=True)])
+    said = [None if (found := mixed_protocols(case)) is None else found.words for case in cases]
+    assert said.count(None) > 5
+    assert len(set(said)) > 100
+    uses = [[protocol_use(use) for use in case] for case in cases]
+    with faultless(chromium, site.as_uri()) as page:
+        page.goto(f"{site.as_uri()}/index.html")
+        script = "(cases) => cases.map((uses) => slamhiveProtocols.mixed(uses)?.words ?? null)"
+        assert page.evaluate(script, uses) == said
 
 
 def test_runs_are_compared_over_the_time_of_the_recording(chromium: Browser, site: Path) -> None:
