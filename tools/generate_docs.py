@@ -106,7 +106,8 @@ its time convention and its parameters; `slamhive algorithm show NAME` lists the
 
 A bound says what a run on a dataset keeps: the least number of poses and the largest absolute trajectory error (ATE
 RMSE) after the alignment in brackets. `room` is the dataset that `slamhive dataset room` makes, `kitti_06` are the
-first 51 frames of KITTI odometry 06. `slamhive algorithm test NAME` runs an algorithm and compares.
+first 51 frames of KITTI odometry 06. `room` has no 2D laser: `aces` is a public log of one with reference
+relations. `slamhive algorithm test NAME` runs an algorithm and compares.
 
 | algorithm | sensors | package | licence | bounds |
 |---|---|---|---|---|

@@ -393,8 +393,8 @@ def test_users_state_the_uncertainty_of_a_ground_truth(tmp_path):
         plan_import(source, ImportOptions(uncertainty_m=0.02))
 
 
-def write_with_truth(path: Path, kind: str, topic: str = "/truth", make=pose_messages) -> None:
-    """A bag with an IMU, ground truth on a topic, and the IMU's place on the body in /tf_static."""
+def write_with_truth(path: Path, kind: str, topic: str = "/truth", make=pose_messages, *, placed: bool = True) -> None:
+    """A bag with an IMU, ground truth on a topic, and unless ``placed`` says no, the IMU's place in /tf_static."""
     with Ros1Writer(path) as writer:
         truth = writer.add_connection(topic, kind, typestore=STORE)
         imu = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=STORE)
@@ -407,7 +407,7 @@ def write_with_truth(path: Path, kind: str, topic: str = "/truth", make=pose_mes
             child_frame_id="imu_link",
             transform=message("geometry_msgs/msg/Transform", translation=place, rotation=q),
         )
-        tree = message("tf2_msgs/msg/TFMessage", transforms=[fixed])
+        tree = message("tf2_msgs/msg/TFMessage", transforms=[fixed] * placed)
         writer.write(static, START_NS, STORE.serialize_ros1(tree, "tf2_msgs/msg/TFMessage"))
         zero = message("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=9.81)
         for number in range(FRAMES):

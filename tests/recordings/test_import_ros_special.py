@@ -17,14 +17,15 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.dataset import Dataset
-from slamhive.domain.sensors import Sensor, SensorKind
+from slamhive.domain.sensors import IDENTITY4, Sensor, SensorKind
 from slamhive.recordings.importers.registry import detect_format, plan_import
+from slamhive.recordings.importers.rosbag_benchmarks import read_registered_poses
 from slamhive.recordings.importing import ImportOptions, RewrittenRecording, perform
 from slamhive.recordings.reader import decode, messages, open_bag
 from slamhive.recordings.writers import BagWriter
 from slamhive.runtime.messages import to_points
 from slamhive.trajectory.layout import read_tum
-from tests.recordings.test_import_ros import silent, write_with_truth
+from tests.recordings.test_import_ros import FRAMES, silent, write_with_truth
 
 pytestmark = pytest.mark.quick
 
@@ -145,13 +146,18 @@ def convert(source: Path, folder: Path, **options: Any) -> Dataset:
 
 def test_tum_vi_takes_the_motion_capture_of_its_bag(tmp_path):
     source = tmp_path / "dataset-room1_512_16.bag"
-    write_with_truth(source, "geometry_msgs/msg/TransformStamped", "/vrpn_client/raw_transform")
+    write_with_truth(source, "geometry_msgs/msg/TransformStamped", "/vrpn_client/raw_transform", placed=False)
     assert detect_format(source) == "tum-vi"
+    assert any(
+        "ground truth is taken as poses of the IMU" in note for note in plan_import(source, ImportOptions())[1].notes
+    )
     dataset = convert(source, tmp_path / "made")
     assert dataset.title == "TUM-VI, room1_512_16"
     assert dataset.attributes == ("real", "indoor", "handheld")
     assert dataset.groundtruth is not None
     assert dataset.groundtruth.source == "topic /vrpn_client/raw_transform"
+    assert dataset.sensor("imu0").T_body_sensor == IDENTITY4
+    assert read_tum(dataset.folder / "groundtruth.txt").positions_m[-1] == pytest.approx([0.1 * (FRAMES - 1), 0, 0])
 
 
 def test_the_parts_of_newer_college_become_one_bag(tmp_path):
@@ -178,6 +184,15 @@ def test_newer_college_names_a_bad_line(tmp_path):
     (tmp_path / "registered_poses.csv").write_text("1000, 0, 0, 0, 0, 0, 0, 0, 1\n1000, 0, 0, 0, 0, 0, 0, 0, 1\n")
     with pytest.raises(InvalidInput, match=r"registered_poses.csv, line 2: timestamp 1000.000000000 occurs twice"):
         plan_import(tmp_path, ImportOptions())
+
+
+@pytest.mark.parametrize("row", ["1000.5 1 2 3 0 0 0 1", "1000, 500000000, 1, 2, 3, 0, 0, 0, 1"])
+@pytest.mark.parametrize("indent", ["", "  ", "\t"])
+def test_poses_of_newer_college_may_be_indented(tmp_path, row, indent):
+    path = tmp_path / "registered_poses.csv"
+    path.write_text(f"{indent}# poses\n{indent}{row}\n")
+    found = read_registered_poses(path)
+    assert (found.times_s.tolist(), found.positions_m.tolist()) == ([1000.5], [[1, 2, 3]])
 
 
 def test_hilti_takes_the_files_beside_its_bag(tmp_path):

@@ -1,5 +1,6 @@
 """Recordings of Ouster's sensors and of Project Aria's glasses, which their makers' libraries read."""
 
+import io
 import json
 import random
 import shutil
@@ -11,9 +12,10 @@ import pytest
 
 from slamhive.base.errors import InvalidInput, SlamHiveError, Unavailable
 from slamhive.domain.calibration import CameraIntrinsics, CameraModel, LidarLayout
+from slamhive.recordings.importers import outside_reader
 from slamhive.recordings.importers.aria import ARIA
 from slamhive.recordings.importers.outside_lidar import OUSTER
-from slamhive.recordings.importers.outside_reader import POINT, RECORD_HEADER, rectified
+from slamhive.recordings.importers.outside_reader import ALIVE, POINT, RECORD_HEADER, rectified, watched
 from slamhive.recordings.importers.registry import detect_format, plan_import
 from slamhive.recordings.importing import ImportOptions, Loss, perform
 from slamhive.runtime.messages import to_points
@@ -338,9 +340,10 @@ def glasses(tmp_path, monkeypatch):
     program.write_text('#!/bin/sh\nexec cat "$(dirname "$0")/$4"\n')
     program.chmod(0o755)
     monkeypatch.setenv(ARIA.variable, str(program))
-    (tmp_path / "plan").write_bytes(told())
+    (tmp_path / "plan").write_bytes(ALIVE["plan"] * 2 + told())
     images = (
-        RECORD_HEADER.pack(START_NS + RATES_NS["cam0"] * n, WIDTH * HEIGHT) + picture(n).tobytes() for n in range(3)
+        ALIVE["records"] + RECORD_HEADER.pack(START_NS + RATES_NS["cam0"] * n, WIDTH * HEIGHT) + picture(n).tobytes()
+        for n in range(3)
     )
     (tmp_path / "records").write_bytes(b"".join(images))
     folder = tmp_path / "walk"
@@ -439,6 +442,23 @@ def test_a_library_that_crashes_is_named_with_its_signal(glasses):
     (glasses.parent / "replay").write_text("#!/bin/sh\necho 'check failed: index' >&2\nkill -ABRT $$\n")
     with pytest.raises(InvalidInput, match=r"aria cannot read walk.vrs: check failed: index \(ended by SIGABRT\)"):
         plan(glasses)
+
+
+@pytest.mark.parametrize("end", ["", "head -c 2000 $file; ", "cat $file; exec >&-; "])
+def test_a_library_that_hangs_is_ended(glasses, monkeypatch, end):
+    monkeypatch.setattr("slamhive.recordings.importers.outside._MOST_SILENCE_S", 0.2)
+    (glasses.parent / "replay").write_text(f'#!/bin/sh\nfile="$(dirname "$0")/$4"\n{end}exec sleep 600\n')
+    with pytest.raises(InvalidInput, match=r"aria hangs while it reads walk.vrs: it gave nothing for 0.2 s, and was"):
+        plan(glasses)
+
+
+def test_a_reader_that_works_gives_signs_of_life(monkeypatch):
+    out = io.BytesIO()
+    monkeypatch.setattr(outside_reader, "SIGN_EVERY_S", 0.0)
+    assert list(watched(range(3), "plan", out)) == [0, 1, 2]
+    monkeypatch.setattr(outside_reader, "SIGN_EVERY_S", 1e9)
+    assert list(watched(range(3), "plan", out)) == [0, 1, 2]
+    assert out.getvalue() == b"\n\n\n"
 
 
 def test_a_correction_of_measurements_is_found_from_four_points():

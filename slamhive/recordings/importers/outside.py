@@ -6,9 +6,11 @@ when a file is damaged. Data comes through a pipe, one message at a time, from `
 
 from __future__ import annotations
 
+import io
 import math
 import os
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -26,7 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
 from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.domain.names import printable
 from slamhive.recordings.geometry import Array
-from slamhive.recordings.importers.outside_reader import RECORD_HEADER
+from slamhive.recordings.importers.outside_reader import ALIVE, RECORD_HEADER
 from slamhive.recordings.writers import NS_PER_S
 
 _READER = Path(__file__).with_name("outside_reader.py")
@@ -36,6 +38,8 @@ _MOST_LINE_BYTES = 1_000_000
 _MOST_NS = 2**31 * NS_PER_S
 _SHOWN = 300
 _MOST_WORDS_BYTES = 64_000
+_MOST_SILENCE_S = 600.0
+"""A reader that writes nothing for so long hangs: while it works, it writes a sign of life at least."""
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 
@@ -114,7 +118,9 @@ class OutsideRecording:
         """
         with self._reading("plan", part) as stream:
             try:
-                about = kind.model_validate_json(stream.readline(_MOST_LINE_BYTES))
+                while (line := stream.readline(_MOST_LINE_BYTES)) == ALIVE["plan"]:
+                    pass
+                about = kind.model_validate_json(line)
                 for name, code, shape in about.arrays:
                     dtype = np.dtype(code)
                     size = math.prod(shape) * dtype.itemsize
@@ -135,6 +141,8 @@ class OutsideRecording:
             while header := stream.read(RECORD_HEADER.size):
                 if len(header) < RECORD_HEADER.size:
                     raise self._broken()
+                if header == ALIVE["records"]:
+                    continue
                 time_ns, count = RECORD_HEADER.unpack(header)
                 size = count * item.itemsize
                 if size > _MOST_RECORD_BYTES:
@@ -162,18 +170,26 @@ class OutsideRecording:
         command = [str(self.library.python()), "-P", str(_READER), self.library.name, mode, str(self.path), part]
         code = 0
         with tempfile.TemporaryFile() as words:
-            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=words)
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=words, bufsize=0
+            )
             assert process.stdout is not None
+            waited = f"{_MOST_SILENCE_S:g} s" if _MOST_SILENCE_S < 120 else f"{_MOST_SILENCE_S / 60:g} minutes"
+            silence = InvalidInput(
+                f"{self.library.name} hangs while it reads {self.name}: it gave nothing for {waited}, and was ended",
+                self._remedy,
+            )
+            stream = io.BufferedReader(_WatchedPipe(process.stdout, silence))
             try:
-                yield process.stdout
-                code = _code_at_end(process)
-            except InvalidInput:
+                yield stream
+                code = _code_at_end(process, stream, silence)
+            except InvalidInput as error:
                 # A stream that breaks off is no reason where its writer has one.
-                code = _code_at_end(process)
+                code = 0 if error is silence else _code_at_end(process, stream, silence)
                 if not code:
                     raise
             finally:
-                process.stdout.close()
+                stream.close()
                 process.kill()
                 process.wait()
             if code:
@@ -197,7 +213,31 @@ class OutsideRecording:
         return InvalidInput(f"{self.library.name} stopped while it read {self.name}", self._remedy)
 
 
-def _code_at_end(process: subprocess.Popen[bytes]) -> int:
-    """The exit code of a process that has written everything, 0 of one that goes on."""
-    assert process.stdout is not None
-    return 0 if process.stdout.read(1) else process.wait()
+class _WatchedPipe(io.RawIOBase):
+    """The output of a process, which raises ``silence`` where nothing comes for :data:`_MOST_SILENCE_S`."""
+
+    def __init__(self, pipe: IO[bytes], silence: InvalidInput) -> None:
+        self._pipe = pipe
+        self._silence = silence
+        self._poll = select.poll()
+        self._poll.register(pipe, select.POLLIN)
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        if not self._poll.poll(_MOST_SILENCE_S * 1000):
+            raise self._silence
+        return os.readv(self._pipe.fileno(), [buffer])
+
+    def close(self) -> None:
+        self._pipe.close()
+        super().close()
+
+
+def _code_at_end(process: subprocess.Popen[bytes], stream: IO[bytes], silence: InvalidInput) -> int:
+    """The exit code of a process that has written everything, 0 of one that goes on; raises ``silence``."""
+    try:
+        return 0 if stream.read(1) else process.wait(_MOST_SILENCE_S)
+    except subprocess.TimeoutExpired:
+        raise silence from None

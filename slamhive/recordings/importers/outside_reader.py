@@ -4,7 +4,8 @@ Usage: ``python outside_reader.py evalio|ouster|aria plan|records PATH PART``. I
 
 ``plan`` writes a line of JSON, whose ``arrays`` give the name, type and shape of the arrays that follow as bytes.
 ``records`` writes each message as its time in ns (int64), its number of items (uint32), and the items: points as
-:data:`POINT`, pixels as bytes.
+:data:`POINT`, pixels as bytes. Both begin with, and ``records`` has between its messages, as many signs of life
+(:data:`ALIVE`) as it takes: a reader that writes nothing for minutes is ended.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ import json
 import os
 import struct
 import sys
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -21,6 +23,8 @@ import numpy as np
 
 POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time", "<f4")])
 RECORD_HEADER = struct.Struct("<qI")
+ALIVE = {"plan": b"\n", "records": RECORD_HEADER.pack(-1, 0)}
+SIGN_EVERY_S = 5.0
 
 
 def main(library: str, mode: str, path: str, part: str) -> int:
@@ -55,6 +59,18 @@ def write_record(time_ns: int, items: Any, out: IO[bytes]) -> None:
     out.write(items.tobytes())
 
 
+def watched(items: Iterable[Any], mode: str, out: IO[bytes]) -> Iterator[Any]:
+    """Pass ``items`` on, with a sign of life every few seconds."""
+    monotonic_s = time.monotonic  # noqa: TID251 - it imports nothing of this project
+    told_s = monotonic_s()
+    for item in items:
+        if monotonic_s() - told_s >= SIGN_EVERY_S:
+            out.write(ALIVE[mode])
+            out.flush()
+            told_s = monotonic_s()
+        yield item
+
+
 # evalio: sequences of its datasets, below the folder of all its data.
 
 
@@ -79,7 +95,7 @@ def plan_evalio(folder: str, name: str, out: IO[bytes]) -> None:
     scan_times_ns: list[int] = []
     imu_times_ns: list[int] = []
     imu: list[list[float]] = []
-    for measurement in sequence:
+    for measurement in watched(sequence, "plan", out):
         time_ns = measurement.stamp.to_nsec()
         if hasattr(measurement, "gyro"):
             imu_times_ns.append(time_ns)
@@ -153,7 +169,7 @@ def plan_ouster(path: str, _part: str, out: IO[bytes]) -> None:
     samples: list[list[list[float]]] = [[] for _ in infos]
     partial = [0] * len(infos)
     posed, second, gnss = ([False] * len(infos) for _ in range(3))
-    for number, frame, measured in ouster_frames(source):
+    for number, frame, measured in watched(ouster_frames(source), "plan", out):
         times_ns[number].append(int(frame.timestamp[measured].min()))
         first, last = infos[number].format.column_window
         expected = (last - first) % frame.w + 1
@@ -170,7 +186,7 @@ def plan_ouster(path: str, _part: str, out: IO[bytes]) -> None:
         from ouster.sdk import open_packet_source  # noqa: PLC0415 - as above
         from ouster.sdk.core import ImuPacket  # type: ignore[import-not-found] # noqa: PLC0415 - as above
 
-        for number, packet in open_packet_source(path):
+        for number, packet in watched(open_packet_source(path), "plan", out):
             if isinstance(packet, ImuPacket):
                 read = zip(packet.timestamp(), packet.gyro(), packet.accel(), strict=True)
                 samples[number] += [[int(ns), *gyro, *force] for ns, gyro, force in read]
@@ -215,7 +231,7 @@ def scans_of_ouster(path: str, part: str, out: IO[bytes]) -> None:
     source = ouster_source(path)
     wanted = int(part)
     positions = XYZLut(list(source.sensor_info)[wanted], use_extrinsics=False)
-    for number, frame, measured in ouster_frames(source):
+    for number, frame, measured in watched(ouster_frames(source), "records", out):
         if number != wanted:
             continue
         start_ns = int(frame.timestamp[measured].min())
@@ -299,7 +315,7 @@ def plan_aria(path: str, _part: str, out: IO[bytes]) -> None:
         else:
             number = len(imus)
             rows, valid = np.empty((count, 6), dtype="<f8"), np.empty(count, dtype=bool)
-            for index in range(count):
+            for index in watched(range(count), "plan", out):
                 reading = provider.get_imu_data_by_index(stream, index)
                 rows[index] = [*reading.gyro_radsec, *reading.accel_msec2]
                 valid[index] = reading.gyro_valid and reading.accel_valid

@@ -15,13 +15,13 @@ import numpy as np
 
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
-from slamhive.domain.sensors import SensorKind
+from slamhive.domain.sensors import IDENTITY4, SensorKind
 from slamhive.recordings.geometry import rotation_xyz, transform
 from slamhive.recordings.importers.ros import OPTIONS, Ros1Importer, plan_recording
 from slamhive.recordings.importers.truth import FoundTruth
 from slamhive.recordings.importing import DatasetText, Detection, ImportOptions, ImportPlan, of_body
 from slamhive.trajectory.model import find_problem
-from slamhive.trajectory.table import parse_table, read_bounded
+from slamhive.trajectory.table import count_columns, parse_table, read_bounded
 
 _TRUTHS = ("registered_poses.csv", "gt-nc-*.csv", "gt_state_*.csv")
 """Of 2020, and of 2021 as its two groups of sequences have it."""
@@ -90,8 +90,7 @@ def _own_truths(folder: Path) -> list[Path]:
 def read_registered_poses(path: Path) -> FoundTruth:
     """Poses of the frame ``base`` by registering LiDAR scans to a surveyed map; raises InvalidInput."""
     data = read_bounded(path)
-    rows = (line.replace(b",", b" ").split() for line in data.splitlines() if line[:1].strip() not in {b"", b"#"})
-    columns = 8 if len(next(rows, [])) == 8 else 9
+    columns = 8 if count_columns(data) == 8 else 9
     table = parse_table(data, str(path), columns, _COLUMNS[columns])
     times_s = table.values[:, 0] + (table.values[:, 1] * 1e-9 if columns == 9 else 0.0)
     positions_m, quats_xyzw = table.values[:, -7:-4], table.values[:, -4:]
@@ -161,6 +160,8 @@ def _truths(source: Path) -> list[Path]:
 
 
 _TRUTH_TOPIC = "/vrpn_client/raw_transform"
+_TRUTH_FRAME = "the ground truth is taken as poses of the IMU, as TUM-VI states it for its calibrated sequences"
+"""Nothing in a bag says so. Its raw recordings, whose names have no size, have poses of the markers on this topic."""
 _NAMES = (
     "dataset-calib-",
     "dataset-corridor",
@@ -193,11 +194,15 @@ class TumViImporter:
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """Sensors of the bag; the ground truth is the motion capture in it unless users name another."""
-        if options.groundtruth is None and options.groundtruth_topic is None:
+        own = options.groundtruth is None and options.groundtruth_topic is None
+        if own:
             options = replace(options, groundtruth_topic=_TRUTH_TOPIC)
         if not options.calibration:
             options = replace(options, calibration=tuple(visible_files(source.parent, "*cam*.yaml")))
-        return plan_recording([source], options, _text(source))
+        plan = plan_recording([source], options, _text(source))
+        if own and any(s.kind is SensorKind.IMU and tuple(s.T_body_sensor) == IDENTITY4 for s in plan.sensors):
+            return replace(plan, notes=(*plan.notes, _TRUTH_FRAME))
+        return plan
 
 
 def _text(source: Path) -> DatasetText:
