@@ -68,15 +68,18 @@ def imu_cdr(stamp_ns: int) -> bytes:
     return bytes(HUMBLE.serialize_cdr(message, IMU))
 
 
-def write_mcap(path: Path, count: int = 200, *, profile: str = "ros2", order: int = 1, **how: object) -> list[int]:
-    """IMU samples at 100 Hz, each also as JSON; the timestamps in ns. ``order`` -1 writes the last one first."""
+def write_mcap(
+    path: Path, count: int = 200, *, profile: str = "ros2", order: int = 1, other: str = "json", **how: object
+) -> list[int]:
+    """IMU samples at 100 Hz, each with one encoded as ``other``; the timestamps in ns. ``order`` -1 is backwards."""
     stamps_ns = [START_NS + number * 10_000_000 for number in range(count)]
     with path.open("wb") as file:
         writer = McapWriter(file, **how)  # type: ignore[arg-type]
         writer.start(profile=profile, library="test")
         definition, _ = HUMBLE.generate_msgdef(IMU, ros_version=2)
         imu = writer.register_channel("/imu", "cdr", writer.register_schema(IMU, "ros2msg", definition.encode()))
-        log = writer.register_channel("/log", "json", writer.register_schema("Log", "jsonschema", b"{}"))
+        schema = writer.register_schema("Log", {"json": "jsonschema"}.get(other, other), b"{}")
+        log = writer.register_channel("/log", other, schema)
         for stamp_ns in stamps_ns[::order]:
             writer.add_message(imu, stamp_ns, imu_cdr(stamp_ns), stamp_ns)
             writer.add_message(log, stamp_ns, b"{}", stamp_ns)
@@ -114,6 +117,7 @@ def test_what_a_killed_recorder_left_is_read(tmp_path):
     [
         {},
         {"profile": ""},
+        {"other": "protobuf"},
         {"use_statistics": False},
         {"repeat_channels": False},
         {"repeat_schemas": False},
@@ -183,6 +187,8 @@ def test_a_folder_without_metadata(recording: Callable[[str], Path], tmp_path, s
     shutil.copytree(recording(storage), source)
     whole = plan_of(source)
     (source / "metadata.yaml").unlink()
+    for path in [*source.iterdir()]:
+        (source / f"._{path.name}").write_bytes(b"\0\5\26\7Mac OS X")
     plan = plan_of(source)
     assert plan.counts == whole.counts
     assert {name: len(times) for name, times in played(perform(plan, tmp_path / "made", silent)).items()} == plan.counts
@@ -229,6 +235,7 @@ def write_parts(folder: Path, gap_ns: int = 10_000_000, topic: str = "/imu") -> 
 
 def test_split_bags_are_one_recording(tmp_path):
     stamps_ns = write_parts(tmp_path / "split")
+    (tmp_path / "split" / "._z_0.bag").write_bytes(b"\0\5\26\7Mac OS X")
     name, plan = plan_import(tmp_path / "split", ImportOptions())
     assert name == "ros1"
     assert plan.counts == {"imu0": 40}

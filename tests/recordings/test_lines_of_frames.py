@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from slamhive.base.errors import InvalidInput
+from slamhive.recordings.importers.registry import detect_format
 from slamhive.recordings.importing import PlannedTruth
 from slamhive.runtime.messages import to_points
 from slamhive.trajectory.kitti import read_kitti, read_kitti_matrices
 from tests.cases import case
-from tests.recordings.format_world import FORMATS, convert, options_of, plan, recorded, write
-from tests.recordings.range_formats import make_mulran, make_nclt
+from tests.recordings.format_world import FORMATS, convert, plan, recorded, write
+from tests.recordings.test_folder_formats import ALL, made
 
 pytestmark = pytest.mark.quick
 
@@ -152,23 +153,14 @@ def test_lines_of_kitti_poses_and_times_are_paired_by_number(tmp_path):
         read_kitti_matrices(poses)
 
 
-@pytest.mark.parametrize("name", sorted(FORMATS))
+@pytest.mark.parametrize("name", sorted(ALL))
 def test_hidden_files_are_no_frames(tmp_path, name):
-    source = FORMATS[name](tmp_path / "source")
-    options = options_of(name, source)
+    source, options = made(name, tmp_path / "source")
     before = plan(source, **options)
     clutter_beside_all(source if source.is_dir() else source.parent)
     after = plan(source, **options)
     assert (after.counts, after.notes) == (before.counts, before.notes)
-
-
-@pytest.mark.parametrize("make", [make_mulran, make_nclt])
-def test_hidden_files_are_no_scans(tmp_path, make):
-    source = make(tmp_path / "2012-01-08")
-    before = plan(source, accept_loss=True)
-    clutter_beside_all(source)
-    after = plan(source, accept_loss=True)
-    assert (after.counts, after.notes) == (before.counts, before.notes)
+    assert detect_format(source) == name
 
 
 def clutter_beside_all(root: Path) -> None:

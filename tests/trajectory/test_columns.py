@@ -1,10 +1,13 @@
 """Rows with more than a pose: which columns hold it, by name, by number, or as the user says."""
 
+import random
+
 import numpy as np
 import pytest
 
-from slamhive.base.errors import InvalidInput
+from slamhive.base.errors import InvalidInput, SlamHiveError
 from slamhive.trajectory.layout import UNKNOWN, TimeUnit
+from slamhive.trajectory.model import Trajectory
 from slamhive.trajectory.pose_file import (
     SYSTEMS,
     PoseFile,
@@ -14,6 +17,7 @@ from slamhive.trajectory.pose_file import (
     stated_columns,
 )
 from tests.cases import case
+from tests.fuzzing import mutated
 
 ANGLES = np.linspace(0.1, 1.5, 30)
 POSITIONS_M = np.column_stack((5 * np.cos(ANGLES), 5 * np.sin(ANGLES), 0.1 * ANGLES))
@@ -63,6 +67,14 @@ FILES = {
         ",",
     ),
     "kitti with times": rows(matrices()),
+    "kimera": rows(
+        in_ns(extra(9)[:, [0, 1, 2, 3, 7, 4, 5, 6, *range(8, 17)]]),
+        "#timestamp,x,y,z,qw,qx,qy,qz,vx,vy,vz,bgx,bgy,bgz,bax,bay,baz",
+        ",",
+    ),
+    "vins, with a comma at the end": rows(
+        in_ns(extra(3)[:, [0, 1, 2, 3, 7, 4, 5, 6, 8, 9, 10]]), separator=","
+    ).replace("\n", ",\n"),
     "mulran": rows(in_ns(matrices()), separator=","),
     "plain": rows(TUM),
 }
@@ -74,12 +86,15 @@ def read(tmp_path, text, columns=None) -> PoseFile:
     return read_pose_file(path, TrajectoryFormat.AUTO, None, columns=columns)
 
 
-def assert_is_the_trajectory(file: PoseFile) -> None:
+def trajectory_of(file: PoseFile) -> Trajectory | None:
     unit = file.unit(UNKNOWN, None).value
-    assert unit is not None
-    order = file.order(UNKNOWN, unit, {}).value
-    assert order is not None
-    found = file.raw.trajectory(unit, order)
+    order = None if unit is None else file.order(UNKNOWN, unit, {}).value
+    return None if unit is None or order is None else file.raw.trajectory(unit, order)
+
+
+def assert_is_the_trajectory(file: PoseFile) -> None:
+    found = trajectory_of(file)
+    assert found is not None
     assert found.stamps_s == pytest.approx(TIMES_S, abs=1e-5)
     assert found.positions_m == pytest.approx(POSITIONS_M, abs=1e-8)
     assert found.quats_xyzw == pytest.approx(XYZW, abs=1e-8)
@@ -89,7 +104,21 @@ def assert_is_the_trajectory(file: PoseFile) -> None:
 def test_poses_are_found_among_other_columns(tmp_path, name):
     file = read(tmp_path, FILES[name])
     assert_is_the_trajectory(file)
-    assert file.plain is (name == "plain")
+    assert (file.plain and file.format is TrajectoryFormat.TUM) is (name == "plain")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_mutated_files_are_read_or_refused_in_a_line(tmp_path, name):
+    refused = set()
+    for seed in range(40):
+        path = tmp_path / "poses.txt"
+        path.write_bytes(mutated(FILES[name].encode(), random.Random(f"{name}{seed}")))
+        try:
+            trajectory_of(read_pose_file(path, TrajectoryFormat.AUTO, None))
+        except SlamHiveError as error:
+            refused.add(str(error))
+    assert len(refused) > 5
+    assert not [text for text in refused if "\n" in text]
 
 
 @pytest.mark.parametrize(

@@ -220,6 +220,24 @@ def test_every_format_says_who_writes_it_and_can_be_asked_for():
     assert {entry.name for entry in FORMATS if entry.read is not None} <= {entry.value for entry in TrajectoryFormat}
 
 
+def test_a_mutated_file_in_a_folder_of_poses_is_read_or_refused_in_a_line(tmp_path: Path) -> None:
+    folder = tmp_path / "poses"
+    folder.mkdir()
+    for number, matrix in enumerate(MATRICES[:5]):
+        (folder / f"frame-{number:06d}.pose.txt").write_text(lines(matrix))
+    path, times = folder / "frame-000002.pose.txt", times_file(tmp_path)
+    original = path.read_bytes()
+    refused = set()
+    for seed in range(80):
+        path.write_bytes(mutated(original, random.Random(seed)))
+        try:
+            read(folder, times)
+        except SlamHiveError as error:
+            refused.add(str(error))
+    assert len(refused) > 5
+    assert not [text for text in refused if "\n" in text]
+
+
 @pytest.mark.parametrize("name", [*FILES, *WITHOUT_TIMES])
 def test_mutated_files_are_read_or_refused_in_a_line(tmp_path: Path, name: str) -> None:
     path, times = tmp_path / "a.txt", times_file(tmp_path)

@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, NonNegativeInt
 
 from slamhive.base.errors import InvalidInput
+from slamhive.base.files import visible_files
 from slamhive.domain.calibration import ImuNoise, LidarLayout, PointOrder, Rotation
 from slamhive.domain.sensors import Sensor, SensorKind, is_rigid
 from slamhive.recordings.geometry import Array, flat
@@ -234,7 +235,7 @@ class OusterImporter:
             return Detection((f"the OSF file {path.name}",), ())
         if path.suffix != ".pcap" or not path.is_file():
             return Detection((), ("an .osf file, or a .pcap file with its .json file",))
-        missing = () if any(path.parent.glob("*.json")) else ("the .json file of the sensor beside it",)
+        missing = () if visible_files(path.parent, "*.json") else ("the .json file of the sensor beside it",)
         return Detection((f"the capture {path.name}",), missing)
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
