@@ -434,10 +434,14 @@ def of_body(truth: PlannedTruth, T_measured_body: Array) -> PlannedTruth:
     )
 
 
+NO_TRUTH = "there is no ground truth: runs get no ATE"
+"""A note, to which :func:`~slamhive.recordings.importers.registry.plan_import` adds the options that give one."""
+
+
 def matched_truth(truth: PlannedTruth | None, streams: Sequence[PlannedStream]) -> tuple[str, ...]:
     """Notes on the part of the recording that has no ground truth; raises InvalidInput if the clocks do not meet."""
     if truth is None:
-        return ("there is no ground truth: runs get no ATE",)
+        return (NO_TRUTH,)
     times_s = streams[0].times_ns / NS_PER_S
     check_clock(truth.times_s, (times_s[0], times_s[-1]), "the ground truth", streams[0].sensor.name)
     first_s, last_s = truth.times_s[0], truth.times_s[-1]

@@ -205,7 +205,9 @@ def test_what_is_left_out_is_said(source, tmp_path):
     )
     assert found.counts == {"cam0": 3, "cam1": 4, "imu0": 31}
     shutil.rmtree(source / TRUTH)
-    assert plan(source, accept_loss=True).notes[-1] == "there is no ground truth: runs get no ATE"
+    assert plan(source, accept_loss=True).notes[-1] == (
+        "there is no ground truth: runs get no ATE (--groundtruth FILE adds one)"
+    )
 
 
 @pytest.mark.parametrize(

@@ -69,10 +69,17 @@ def imu_cdr(stamp_ns: int) -> bytes:
 
 
 def write_mcap(
-    path: Path, count: int = 200, *, profile: str = "ros2", order: int = 1, other: str = "json", **how: object
+    path: Path,
+    count: int = 200,
+    *,
+    start_ns: int = START_NS,
+    profile: str = "ros2",
+    order: int = 1,
+    other: str = "json",
+    **how: object,
 ) -> list[int]:
     """IMU samples at 100 Hz, each with one encoded as ``other``; the timestamps in ns. ``order`` -1 is backwards."""
-    stamps_ns = [START_NS + number * 10_000_000 for number in range(count)]
+    stamps_ns = [start_ns + number * 10_000_000 for number in range(count)]
     with path.open("wb") as file:
         writer = McapWriter(file, **how)  # type: ignore[arg-type]
         writer.start(profile=profile, library="test")
@@ -254,6 +261,38 @@ def test_bags_of_several_recordings_are_no_parts(tmp_path, gap_ns, why):
     write_parts(tmp_path / "two", gap_ns)
     with pytest.raises(InvalidInput, match=f"no parts of one recording: .*{why}.*give one of them"):
         plan_of(tmp_path / "two")
+
+
+@pytest.mark.parametrize(
+    ("gap_ns", "why"),
+    [(4000 * 10**9, "4000 s after"), (-1_000_000_000, "a.mcap and b.mcap have /imu at the same time")],
+)
+def test_files_of_several_recordings_of_ros_2_are_no_parts(tmp_path, gap_ns, why):
+    last_ns = write_mcap(tmp_path / "a.mcap")[-1]
+    write_mcap(tmp_path / "b.mcap", start_ns=last_ns + gap_ns)
+    with pytest.raises(InvalidInput, match=f"no parts of one recording: .*{why}.*give one of them"):
+        plan_of(tmp_path)
+
+
+def test_parts_of_ros_2_may_share_a_few_messages(tmp_path):
+    last_ns = write_mcap(tmp_path / "a.mcap")[-1]
+    write_mcap(tmp_path / "b.mcap", start_ns=last_ns - 15_000_000)
+    plan = plan_of(tmp_path)
+    assert plan.counts == {"imu0": 400}
+    assert any("refuses it as it is: it has no metadata.yaml" in note for note in plan.notes)
+
+
+@pytest.mark.integration
+def test_a_part_that_the_metadata_does_not_name_is_read(recording: Callable[[str], Path], tmp_path):
+    source = tmp_path / "d"
+    shutil.copytree(recording("mcap"), source)
+    whole = plan_of(source)
+    with AnyReader([source]) as reader:
+        end_ns = reader.end_time
+    write_mcap(source / "d_1.mcap", start_ns=end_ns)
+    plan = plan_of(source)
+    assert sum(plan.counts.values()) == sum(whole.counts.values()) + 200
+    assert any("metadata.yaml does not name d_1.mcap" in note for note in plan.notes)
 
 
 def test_lengths_of_index_records_that_old_writers_state(tmp_path):

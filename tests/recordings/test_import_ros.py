@@ -594,6 +594,8 @@ def test_the_recorded_turtlebot(tmp_path):
     assert dataset.checksum == checksum(source)
     truth = (dataset.folder / "groundtruth.txt").read_text().splitlines()
     assert len(truth) == 136
+    (clock,) = [note for note in plan_import(source, ImportOptions())[1].notes if note.startswith("headers are")]
+    assert clock == "headers are 1778233425 s before the clock of the recording; the time of headers counts"
     with pytest.raises(InvalidInput, match=r"'/tf' has the poses of \d frames: .*--groundtruth-topic /tf:FRAME"):
         plan_import(source, ImportOptions(groundtruth_topic="/tf"))
 

@@ -183,7 +183,7 @@ def test_what_an_osf_file_lacks_is_said(hall):
     notes = plan(hall).notes
     assert "1 of 4 scans of lidar0 lack columns, since packets were lost" in notes
     assert "the GNSS positions that lidar0 recorded are left out" in notes
-    assert "there is no ground truth: runs get no ATE" in notes
+    assert "there is no ground truth: runs get no ATE (--groundtruth FILE adds one)" in notes
 
 
 def test_damaged_scans_of_an_osf_file_are_a_loss(hall):

@@ -122,7 +122,7 @@ def test_what_is_left_out_is_said(source):
     assert plan(source, accept_loss=True, **with_calibration(source)).notes == (
         "1 of the 4 files that depth.txt lists are missing and left out",
         "accelerometer.txt is left out: without angular rates it makes no IMU",
-        "there is no ground truth: runs get no ATE",
+        "there is no ground truth: runs get no ATE (--groundtruth FILE adds one)",
     )
 
 

@@ -500,6 +500,15 @@ def storage_files(folder: Path) -> list[Path]:
     return sorted(files, key=lambda file: (len(file.name), file.name))
 
 
+def unlisted(folder: Path, files: Sequence[Path]) -> list[str]:
+    """The names of ``files`` that ``metadata.yaml`` in ``folder`` does not mention; all without it."""
+    try:
+        text = (folder / "metadata.yaml").read_bytes()
+    except OSError:
+        text = b""
+    return [file.name for file in files if os.fsencode(file.name.removesuffix(".zstd")) not in text]
+
+
 def _stated_messages(folder: Path) -> int:
     """The number of messages in ``metadata.yaml``, 0 where it has none that can be read."""
     try:
@@ -516,6 +525,10 @@ def contradiction(reader: AnyReader) -> str:
         folder = getattr(recording, "storage", None)
         if not isinstance(folder, DirectoryReader):
             continue
+        path = Path(str(folder.path))
+        left = unlisted(path, storage_files(path))
+        if left:
+            return f"metadata.yaml does not name {', '.join(left[:3])}"
         stated = {(entry.topic, entry.msgtype, _encoding(entry)): entry for entry in folder.connections}
         stored: dict[tuple[str, str, str], int] = {}
         for entry in (entry for storage in folder.storages for entry in storage.connections):

@@ -303,6 +303,8 @@ def _reader(
         problem = damaged(path, error)
         reason = textwrap.shorten(str(error), 100, placeholder=" ...") or "its bytes make no sense"
         refused = f"{reason} is not known" if isinstance(error, KeyError) else reason
+        if path.is_dir() and not (path / "metadata.yaml").is_file():
+            refused = "it has no metadata.yaml"
         if not lenient:
             raise problem from None
     else:

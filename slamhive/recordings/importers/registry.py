@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from slamhive.base.errors import InvalidInput
+from slamhive.base.files import visible_files
 from slamhive.base.registry import Registry, instances_of
 from slamhive.domain.dataset import MOST_UNCERTAIN_M
 from slamhive.recordings.importers.aria import AriaImporter
@@ -32,7 +33,7 @@ from slamhive.recordings.importers.tum_rgbd import Eth3dImporter, TumRgbdImporte
 from slamhive.recordings.importers.untimed_frames import ReplicaImporter, SevenScenesImporter, TartanAirImporter
 from slamhive.recordings.importers.video import VideoImporter
 from slamhive.recordings.importers.vslam_lab import VslamLabImporter
-from slamhive.recordings.importing import Detection, ImportOptions, ImportPlan, refuse_losses
+from slamhive.recordings.importing import NO_TRUTH, Detection, ImportOptions, ImportPlan, refuse_losses
 from slamhive.trajectory.model import lacking
 
 
@@ -108,6 +109,10 @@ EXPERIMENTAL: Mapping[str, str] = {
 """What speaks for importers of which nobody has tried a published recording, by name."""
 
 
+_MOST_LOOKED_AT, _MOST_NAMED = 50, 3
+_ARCHIVES = (".zip", ".tar", ".tgz", ".tar.gz", ".tar.bz2", ".tar.xz", ".7z", ".rar")
+
+
 def plan_import(source: Path, options: ImportOptions, format_name: str | None = None) -> tuple[str, ImportPlan]:
     """The format of ``source`` and what it becomes.
 
@@ -139,6 +144,13 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
             reason = f" ({without})" if without else ""
             note = f"the ground truth has positions only{reason}: runs get no rotation errors"
             plan = replace(plan, truth=replace(truth, quats_xyzw=None), notes=(*plan.notes, note))
+    elif NO_TRUTH in plan.notes and "groundtruth" in importer.options:
+        folder = source if source.is_dir() else source.parent
+        beside = [path.name for path in visible_files(folder) if "groundtruth" in path.name.lower()]
+        ways = "--groundtruth FILE" + " or --groundtruth-topic" * ("groundtruth_topic" in importer.options)
+        there = f"; {', '.join(beside[:3])} may be it" if beside else ""
+        remedy = f"({ways} adds one{there})"
+        plan = replace(plan, notes=tuple(f"{note} {remedy}" if note == NO_TRUTH else note for note in plan.notes))
     if options.uncertainty_m is not None:
         if not 0 < options.uncertainty_m <= MOST_UNCERTAIN_M:
             raise InvalidInput(
@@ -170,13 +182,29 @@ def detect_format(path: Path) -> str:
     if names:
         evidence = "; ".join(f"{name} ({', '.join(detections[name].found)})" for name in names)
         raise InvalidInput(f"{path} fits several formats: {evidence}", "choose one with --format")
+    inner = _recordings_in(path)
     # The format of which most was found is the one that users probably mean.
     name, nearest = max(detections.items(), key=lambda entry: (len(entry[1].found), -len(entry[1].missing)))
-    if not nearest.found:
+    if nearest.found:
         raise InvalidInput(
-            f"{path} is in no format that can be imported", f"known formats: {', '.join(IMPORTERS.names())}"
+            f"{path} looks like {name} (found {', '.join(nearest.found)}), but lacks {', '.join(nearest.missing)}",
+            f"{f'give {inner} in it, ' if inner else ''}add what is missing, or name another format with --format",
         )
+    if inner:
+        raise InvalidInput(f"{path} is no recording", f"give {inner} in it")
+    known = f"known formats: {', '.join(IMPORTERS.names())}; trajectories come in with `slamhive runs import`"
+    archive = path.is_file() and path.name.endswith(_ARCHIVES)
     raise InvalidInput(
-        f"{path} looks like {name} (found {', '.join(nearest.found)}), but lacks {', '.join(nearest.missing)}",
-        "add what is missing, or name another format with --format",
+        f"{path} is in no format that can be imported",
+        "unpack the archive, and give the file or folder in it" if archive else known,
     )
+
+
+def _recordings_in(folder: Path) -> str:
+    """The first recordings that lie in a folder, with their formats; empty if there are none."""
+    found: list[str] = []
+    for path in visible_files(folder)[:_MOST_LOOKED_AT]:
+        fits = sorted(name for name, importer in IMPORTERS if importer.detect(path).complete)
+        if fits:
+            found.append(f"{path.name} ({fits[0]})")
+    return " or ".join(found[:_MOST_NAMED])

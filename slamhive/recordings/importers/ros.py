@@ -10,7 +10,7 @@ from slamhive.base.errors import InvalidInput
 from slamhive.base.files import size_bytes, visible_files
 from slamhive.domain.sensors import Sensor
 from slamhive.recordings.importers.calibration import read_calibrations
-from slamhive.recordings.importers.lenient_reader import ZSTD, LenientReader, storage_files
+from slamhive.recordings.importers.lenient_reader import ZSTD, LenientReader, storage_files, unlisted
 from slamhive.recordings.importers.lidar_drivers import livox_points
 from slamhive.recordings.importers.odd_images import is_odd, plain_image
 from slamhive.recordings.importers.recording import (
@@ -26,6 +26,7 @@ from slamhive.recordings.importers.sensors import SensorBuilder
 from slamhive.recordings.importers.truth import FoundTruth, read_truth_file, read_truth_topic
 from slamhive.recordings.importers.video_messages import VIDEO_TYPES, VideoDecoder, codec_of
 from slamhive.recordings.importing import (
+    NO_TRUTH,
     DatasetText,
     Detection,
     ImportOptions,
@@ -149,13 +150,14 @@ def _notes(bag: SourceBag, truth: FoundTruth | None, recorded_ns: tuple[int, int
             f"refuses it as it is: {bag.refused.rstrip('.')}"
         )
     if truth is None:
-        notes.append("there is no ground truth: runs get no ATE (--groundtruth FILE or --groundtruth-topic adds one)")
+        notes.append(NO_TRUTH)
     elif not truth.gravity_aligned:
         notes.append("the z axis of the ground truth is not known to point up (gravity_aligned in dataset.yaml)")
     notes += () if truth is None else truth.notes
     apart_s = (recorded_ns[0] - bag.start_ns) / NS_PER_S
     if abs(apart_s) > 60:
-        notes.append(f"headers are {apart_s:.0f} s from the clock of the recording; the time of headers counts")
+        side = "before" if apart_s < 0 else "after"
+        notes.append(f"headers are {abs(apart_s):.0f} s {side} the clock of the recording; the time of headers counts")
     return notes
 
 
@@ -239,6 +241,8 @@ _MAGIC = b"#ROSBAG V2.0"
 _MOST_PARTS = 1000
 _LONGEST_GAP_S = 60.0
 """`rosbag record --split` begins a part within a second; a longer gap makes another recording."""
+_MOST_SHARED = 0.1
+"""Of the shorter part: recorders with several threads write a few messages after they have begun the next part."""
 
 
 class Ros1Importer:
@@ -272,22 +276,38 @@ def _parts(source: Path, options: ImportOptions) -> list[Path]:
     bags = visible_files(source, "*.bag")
     if not 0 < len(bags) <= _MOST_PARTS:
         raise InvalidInput(f"{source} holds {len(bags)} bags", "give the folder of one recording")
+    return _in_order(source, bags, options)
+
+
+def _in_order(source: Path, files: Sequence[Path], options: ImportOptions) -> list[Path]:
+    """The parts of one recording in the order of time.
+
+    Raises InvalidInput if they are several recordings: one begins long after another, or both have a topic at once.
+    """
     spans: list[tuple[int, int, frozenset[str], Path]] = []
-    for bag in bags:
-        with open_source([bag], options, lenient=True) as part:
-            spans.append((part.start_ns, part.end_ns, frozenset(part.topics), bag))
+    for file in files:
+        with open_source([file], options, lenient=True) as part:
+            spans.append((part.start_ns, part.end_ns, frozenset(part.topics), file))
     spans.sort(key=lambda span: (span[0], span[3].name))
-    for index, (start_ns, _, topics, bag) in enumerate(spans[1:], start=1):
+    for index, (start_ns, end_ns, topics, file) in enumerate(spans[1:], start=1):
         apart_s = (start_ns - max(span[1] for span in spans[:index])) / NS_PER_S
-        double = next((span for span in spans[:index] if span[1] > start_ns and span[2] & topics), None)
+        double = next(
+            (
+                span
+                for span in spans[:index]
+                if span[2] & topics
+                and min(span[1], end_ns) - start_ns > _MOST_SHARED * min(span[1] - span[0], end_ns - start_ns)
+            ),
+            None,
+        )
         if double is not None:
             both = ", ".join(sorted(double[2] & topics)[:3])
-            why = f"{double[3].name} and {bag.name} have {both} at the same time"
+            why = f"{double[3].name} and {file.name} have {both} at the same time"
         elif apart_s > _LONGEST_GAP_S:
-            why = f"{bag.name} begins {apart_s:.0f} s after those before it end"
+            why = f"{file.name} begins {apart_s:.0f} s after those before it end"
         else:
             continue
-        raise InvalidInput(f"the bags in {source} are no parts of one recording: {why}", "give one of them")
+        raise InvalidInput(f"the files in {source} are no parts of one recording: {why}", "give one of them")
     return [span[3] for span in spans]
 
 
@@ -359,4 +379,7 @@ class Ros2Importer:
 
     def plan(self, source: Path, options: ImportOptions) -> ImportPlan:
         """Sensors from topics and calibration, the recording as it is."""
+        files = storage_files(source) if source.is_dir() else []
+        if len(files) > 1 and unlisted(source, files):
+            _in_order(source, files, options)
         return plan_recording([source], options, text_of(source, "ROS 2 bag"))
