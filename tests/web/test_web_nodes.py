@@ -46,7 +46,8 @@ def test_throughput_and_time_left_of_a_node(shown: Web) -> None:
     assert node.runs_per_hour == ended.get(("process", None), 0) / 24
     left = [run.left_s for run in node.runs if run.left_s is not None]
     assert node.left_s == max(left, default=None)
-    assert f'<td class="number">{node.runs_per_hour:.1f}</td>' in shown.client.get("/nodes").text
+    assert node.left_s == 0, "the run here began long ago"
+    assert (node.runs_per_hour, ">overdue</span></td>" in shown.client.get("/nodes").text) == (0, True)
 
 
 @pytest.mark.parametrize(
