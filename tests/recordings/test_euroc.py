@@ -84,6 +84,24 @@ def test_poses_of_markers_become_those_of_the_body(source, tmp_path):
     assert truth.quats_xyzw[5] == pytest.approx([0.8, 0, 0, 0.6])
 
 
+def test_time_offsets_are_kept_and_unread_keys_named(source):
+    for path, line in (
+        ("cam0", "timeshift_cam_imu: 0.005"),
+        ("cam1", "line_delay: 3.0e-5"),
+        ("imu0", "misalignment: 1"),
+    ):
+        with (source / "mav0" / path / "sensor.yaml").open("a") as file:
+            file.write(f"\n{line}\n")
+    found = plan(source)
+    assert found.sensors[0].calibration["time_offset_s"] == 0.005
+    assert "time_offset_s" not in found.sensors[1].calibration
+    assert found.notes[:2] == (
+        "line_delay of cam1/sensor.yaml is not read",
+        "misalignment of imu0/sensor.yaml is not read",
+    )
+    assert found.notes[2].startswith("cam0 needs 0.005 s added to its timestamps")
+
+
 def test_a_prism_gives_positions_only(source, tmp_path):
     shutil.rmtree(source / TRUTH)
     write(source / "mav0/leica0/data.csv", "#t", *(f"{EUROC_START_NS + n * 50_000_000},{n},2,3" for n in range(FRAMES)))
@@ -92,8 +110,9 @@ def test_a_prism_gives_positions_only(source, tmp_path):
     assert dataset.groundtruth is not None
     assert dataset.groundtruth.positions_only
     assert dataset.groundtruth.source == "laser tracker (Leica MS50)"
+    assert dataset.groundtruth.lever_arm_m == (0.3, 0.4, 0.0)
     assert plan(source).notes == (
-        "ground truth is the positions of a prism, 0.500 m from the body",
+        "ground truth is the positions of a prism, 0.500 m from the body (lever_arm_m)",
         "the ground truth has positions only: runs get no rotation errors",
     )
 

@@ -455,6 +455,23 @@ def test_ground_truth_on_a_topic(tmp_path, kind, with_frame):
     # a ground truth that names its frame makes it the body: /tf_static knows where the IMU is on it
     T_body_imu = np.array(plan.sensors[0].T_body_sensor).reshape(4, 4)
     assert T_body_imu[:3, 3] == pytest.approx([0.3, 0, 0.2] if with_frame else [0, 0, 0])
+    assert plan.truth.lever_arm_m is None
+
+
+@pytest.mark.parametrize(("frame", "arm_m"), [("base", [-0.3, 0, -0.2]), ("antenna", None)])
+def test_the_antenna_has_a_lever_arm_where_its_place_is_known(tmp_path, frame, arm_m):
+    def fixes(kind, number):
+        made = pose_messages(kind, number)
+        made.header.frame_id = frame
+        return made
+
+    source = tmp_path / "take.bag"
+    write_with_truth(source, "sensor_msgs/msg/NavSatFix", make=fixes)
+    plan = plan_import(source, ImportOptions(groundtruth_topic="/truth"))[1]
+    assert plan.truth is not None
+    assert plan.truth.lever_arm_m == (None if arm_m is None else pytest.approx(arm_m))
+    said = "is known on the body" if arm_m else "is not known on the body: 0 0 0 is assumed"
+    assert f"the antenna ({frame}) {said} (lever_arm_m in dataset.yaml)" in plan.notes
 
 
 def test_a_camera_without_calibration_is_refused(tmp_path):

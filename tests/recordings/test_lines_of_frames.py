@@ -14,7 +14,7 @@ from slamhive.recordings.importing import PlannedTruth
 from slamhive.runtime.messages import to_points
 from slamhive.trajectory.kitti import read_kitti, read_kitti_matrices
 from tests.cases import case
-from tests.recordings.format_world import FORMATS, convert, plan, recorded, write
+from tests.recordings.format_world import FORMATS, KITTI_360, convert, plan, recorded, write
 from tests.recordings.test_folder_formats import ALL, made
 
 pytestmark = pytest.mark.quick
@@ -46,6 +46,16 @@ def test_blank_lines_of_kitti_raw_stand_for_missing_scans(tmp_path):
     seen = recorded(convert(drive, tmp_path / "made"))
     fractions = [stamp % 1 for stamp in stamps_s(seen, "/points")]
     assert fractions == pytest.approx([0.100123, 0.300123, 0.400123], abs=1e-5)
+
+
+def test_blank_lines_of_kitti_360_stand_for_missing_scans(tmp_path):
+    root = FORMATS["kitti-360"](tmp_path)
+    scans = root / "data_3d_raw" / KITTI_360 / "velodyne_points"
+    whole = stamps_s(recorded(convert(root, tmp_path / "whole")), "/points")
+    empty_line(scans / "timestamps.txt", 1)
+    (scans / "data" / f"{1:010d}.bin").unlink()
+    found = stamps_s(recorded(convert(root, tmp_path / "made")), "/points")
+    assert found == [whole[0], *whole[2:]]
 
 
 def test_a_file_of_kitti_raw_without_time_is_named(tmp_path):

@@ -13,6 +13,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from slamhive.base.errors import InvalidInput, SlamHiveError
+from slamhive.domain.calibration import CameraIntrinsics
 from slamhive.domain.sensors import SensorKind
 from slamhive.recordings.importers.odd_images import ODD_ENCODINGS, decode_rvl, plain_image
 from slamhive.recordings.importers.registry import plan_import
@@ -173,8 +174,8 @@ def test_rvl_gives_any_image_back(pixels):
     assert (decode_rvl(rvl(expected)) == expected).all()
 
 
-def write(path: Path, topic: str, messages: list[Any], kind: str) -> None:
-    """A recording of one camera with its ``CameraInfo``."""
+def write(path: Path, topic: str, messages: list[Any], kind: str, **stated: Any) -> None:
+    """A recording of one camera with its ``CameraInfo``, in which ``stated`` replaces fields."""
     info = STORE.types["sensor_msgs/msg/CameraInfo"](
         header=header(0), height=HEIGHT, width=WIDTH, distortion_model="plumb_bob", D=np.zeros(5),
         K=np.array([60.0, 0, 31.5, 0, 60, 23.5, 0, 0, 1]), R=np.eye(3).reshape(-1), P=np.zeros(12), binning_x=0,
@@ -182,6 +183,8 @@ def write(path: Path, topic: str, messages: list[Any], kind: str) -> None:
             x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         ),
     )  # fmt: skip
+    for name, value in stated.items():
+        setattr(info, name, value)
     with Writer(path) as writer:
         of_info = writer.add_connection("/camera/camera_info", "sensor_msgs/msg/CameraInfo", typestore=STORE)
         connection = writer.add_connection(topic, kind, typestore=STORE)
@@ -233,6 +236,21 @@ def test_a_run_gets_plain_depths(tmp_path, name):
     assert sensor.calibration["units_per_m"] == (1000 if name.startswith("16UC1") else 1)
     for entry in found:
         check_depth(name, entry[2], str(sensor.calibration["encoding"]))
+
+
+def test_window_and_binning_of_camera_info_are_applied(tmp_path):
+    roi = STORE.types["sensor_msgs/msg/RegionOfInterest"](
+        x_offset=20, y_offset=10, height=2 * HEIGHT, width=2 * WIDTH, do_rectify=False
+    )
+    K = np.array([120.0, 0, 20 + 2 * 31.5, 0, 122, 10 + 2 * 23.5, 0, 0, 1])
+    stated = {"height": 400, "width": 600, "K": K, "binning_x": 2, "binning_y": 2, "roi": roi}
+    source = tmp_path / "a.bag"
+    write(source, "/camera/image_raw", [image("rgb8", RGB, k) for k in range(FRAMES)], IMAGE, **stated)
+    plan = plan_import(source, ImportOptions())[1]
+    found = CameraIntrinsics.of(plan.sensors[0])
+    assert (found.width, found.height) == (WIDTH, HEIGHT)
+    assert (found.fx, found.fy, found.cx, found.cy) == (60, 61, 31.5, 23.5)
+    assert "the CameraInfo of cam0 is of 600x400 pixels; its window and binning are applied" in plan.notes
 
 
 def test_a_real_bag_of_yuv_has_images(tmp_path):

@@ -241,10 +241,7 @@ def read_kalibr(path: Path, content: Mapping[str, Any]) -> KnownCalibration:
         part = CalibrationFile(f"{path}: {name}", entry if isinstance(entry, dict) else {})
         if _CAMERA.fullmatch(name):
             frame = f"{path}:{name}"
-            shift_s = part.optional("timeshift_cam_imu")
-            if shift_s is not None and abs(shift_s) > _MOST_SHIFT_S:
-                raise InvalidInput(f"{part.name}: timeshift_cam_imu is {shift_s:g} s", "expected seconds, -10 to 10")
-            more: dict[str, CalibrationValue] = {TIME_OFFSET: shift_s} if shift_s else {}
+            more = time_offset(part)
             intrinsics = _intrinsics(part)
             known.sensors.append(
                 KnownSensor(name, SensorKind.CAMERA, part.word("rostopic", ""), frame, intrinsics, more=more)
@@ -257,27 +254,33 @@ def read_kalibr(path: Path, content: Mapping[str, Any]) -> KnownCalibration:
             T_cam_previous = _transform(part, "T_cn_cnm1")
             if T_cam_previous is not None:
                 known.transforms.append((f"{path}:cam{int(name[3:]) - 1}", frame, inverse(T_cam_previous)))
-            _name_unread(known, path, name, part, _CAMERA_KEYS)
+            known.notes += unread_keys(part, _CAMERA_KEYS, f"{name} in {path.name}")
         elif _IMU.fullmatch(name):
             noise = ImuNoise(**{key: part.optional(key) for key in ImuNoise.__slots__})
             known.sensors.append(KnownSensor(name, SensorKind.IMU, part.word("rostopic", ""), name, noise=noise))
             T_imu_body = _transform(part, "T_i_b")
             if T_imu_body is not None and name != "imu0":
                 known.transforms.append((name, "imu0", T_imu_body))
-            _name_unread(known, path, name, part, _IMU_KEYS)
+            known.notes += unread_keys(part, _IMU_KEYS, f"{name} in {path.name}")
         else:
             known.notes.append(f"{name} of {path.name} is not read")
     return known
 
 
-def _name_unread(known: KnownCalibration, path: Path, name: str, entry: CalibrationFile, read: frozenset[str]) -> None:
-    """Note the keys of a sensor that are not read. A time offset of 0 says nothing."""
+def time_offset(entry: CalibrationFile) -> dict[str, CalibrationValue]:
+    """The time offset of a camera, as ``dataset.yaml`` has it; empty without one. Raises InvalidInput."""
+    shift_s = entry.optional("timeshift_cam_imu")
+    if shift_s is not None and abs(shift_s) > _MOST_SHIFT_S:
+        raise InvalidInput(f"{entry.name}: timeshift_cam_imu is {shift_s:g} s", "expected seconds, -10 to 10")
+    return {TIME_OFFSET: shift_s} if shift_s else {}
+
+
+def unread_keys(entry: CalibrationFile, read: frozenset[str], place: str) -> list[str]:
+    """A note on the keys of a sensor that are not in ``read``, or none. A time offset of 0 says nothing."""
     unread = [
         str(key) for key, value in entry.content.items() if key not in read and (key, value) != ("time_offset", 0)
     ]
-    if unread:
-        are = "is" if len(unread) == 1 else "are"
-        known.notes.append(f"{', '.join(unread)} of {name} in {path.name} {are} not read")
+    return [f"{', '.join(unread)} of {place} {'is' if len(unread) == 1 else 'are'} not read"] if unread else []
 
 
 def _intrinsics(entry: CalibrationFile) -> CameraIntrinsics:

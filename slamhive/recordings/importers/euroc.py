@@ -6,7 +6,7 @@ The Monado SLAM datasets (de Mayo et al., 2025) have ``gt``, and one calibration
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,8 @@ from slamhive.recordings.importers.calibration import (
     KnownCalibration,
     read_calibration_file,
     read_calibrations,
+    time_offset,
+    unread_keys,
 )
 from slamhive.recordings.importing import (
     DatasetText,
@@ -47,6 +49,11 @@ _MEASURED = {
     "leica0": "laser tracker (Leica MS50)",
     "gt": "tracking of the headset",
 }
+_SENSOR_KEYS = frozenset({"sensor_type", "comment", "T_BS", "rate_hz"})
+_CAMERA_KEYS = _SENSOR_KEYS | {
+    *("resolution", "camera_model", "intrinsics", "distortion_model", "distortion_coefficients", "timeshift_cam_imu")
+}
+_IMU_KEYS = _SENSOR_KEYS | frozenset(ImuNoise.__slots__)
 _POSE = "timestamp [ns], p_x, p_y, p_z, q_w, q_x, q_y, q_z"
 _MODELS = {
     "radial-tangential": CameraModel.PINHOLE_RADTAN,
@@ -76,7 +83,7 @@ class EurocImporter:
     """Grey images, IMU samples and poses to a dataset. The body frame is that of the IMU.
 
     Of several ground truths, the estimate of the authors is taken: ``state_groundtruth_estimate0``. A laser tracker
-    measures the positions of its prism, which are kept as they are.
+    measures the positions of its prism, which are kept as they are, with its lever arm.
     """
 
     title = "EuRoC (ASL) folder: mav0 with cam0, imu0 and others, each with data.csv and sensor.yaml"
@@ -106,7 +113,8 @@ class EurocImporter:
         if (root / "imu0").is_dir():
             part = _Part(root / "imu0")
             rows = part.rows("timestamp [ns], w_x, w_y, w_z [rad/s], a_x, a_y, a_z [m/s^2]")
-            noise, T_body_imu = _imu(part, known)
+            noise, T_body_imu, unread = _imu(part, known)
+            notes.extend(unread)
             sensor = Sensor(
                 part.name, SensorKind.IMU, f"/{part.name}", rate_hz(rows.times_ns), T_body_imu, noise.calibration()
             )
@@ -137,22 +145,25 @@ def _known(source: Path, root: Path, options: ImportOptions) -> KnownCalibration
     return read_calibrations(options.calibration or [path for path in beside if path.is_file()][:1])
 
 
-def _imu(part: _Part, known: KnownCalibration) -> tuple[ImuNoise, Matrix4]:
-    """The noise of the IMU, and its pose relative to the body."""
+def _imu(part: _Part, known: KnownCalibration) -> tuple[ImuNoise, Matrix4, list[str]]:
+    """The noise of the IMU, its pose relative to the body, and a note on what is not read."""
     found = next((sensor.noise for sensor in known.sensors if sensor.name == part.name and sensor.noise), None)
     if found is not None:
-        return found, IDENTITY4
+        return found, IDENTITY4, []
     calibration = part.calibration()
     noise = ImuNoise(**{key: calibration.optional(key) for key in ImuNoise.__slots__})
-    return noise, flat(calibration.rigid("T_BS"))
+    return noise, flat(calibration.rigid("T_BS")), unread_keys(calibration, _IMU_KEYS, f"{part.name}/{SENSOR_FILE}")
 
 
 def _camera_stream(part: _Part, known: KnownCalibration) -> tuple[PlannedStream, tuple[str, ...]]:
     rows = part.rows("timestamp [ns], filename")
     kept, paths = rows.files(part.folder / "data")
     found = next((sensor for sensor in known.sensors if sensor.name == part.name and sensor.intrinsics), None)
+    unread: list[str] = []
     if found is None:
-        sensor = camera_sensor(part.name, part.calibration(), rate_hz(kept.times_ns))
+        own = part.calibration()
+        sensor = camera_sensor(part.name, own, rate_hz(kept.times_ns))
+        unread = unread_keys(own, _CAMERA_KEYS, f"{part.name}/{SENSOR_FILE}")
     else:
         graph = FrameGraph()
         for parent, child, T in known.transforms:
@@ -167,7 +178,7 @@ def _camera_stream(part: _Part, known: KnownCalibration) -> tuple[PlannedStream,
         matrix = flat(T_body_camera)
         topic = f"/{part.name}/image_raw"
         sensor = Sensor(part.name, SensorKind.CAMERA, topic, rate_hz(kept.times_ns), matrix, calibration)
-    return image_stream(sensor, kept.times_ns, paths), rows.notes(kept)
+    return image_stream(sensor, kept.times_ns, paths), (*rows.notes(kept), *unread)
 
 
 def camera_sensor(name: str, calibration: CalibrationFile, rate: float) -> Sensor:
@@ -191,7 +202,7 @@ def camera_sensor(name: str, calibration: CalibrationFile, rate: float) -> Senso
         f"/{name}/image_raw",
         rate,
         flat(calibration.rigid("T_BS")),
-        intrinsics.calibration("mono8"),
+        {**intrinsics.calibration("mono8"), **time_offset(calibration)},
     )
 
 
@@ -215,9 +226,9 @@ def _truth(root: Path, options: ImportOptions) -> tuple[PlannedTruth | None, tup
     if part.name == "leica0":
         rows = part.rows("timestamp [ns], p_x, p_y, p_z")
         truth = listed_truth(rows, None, _MEASURED[part.name], gravity_aligned=True)
-        offset_m = float(np.linalg.norm(part.calibration().rigid("T_BS")[:3, 3]))
-        note = f"ground truth is the positions of a prism, {offset_m:.3f} m from the body"
-        return truth, (*left_out, note)
+        arm_m = tuple(float(number) for number in part.calibration().rigid("T_BS")[:3, 3])
+        note = f"ground truth is the positions of a prism, {np.linalg.norm(arm_m):.3f} m from the body (lever_arm_m)"
+        return replace(truth, lever_arm_m=arm_m), (*left_out, note)
     # Poses of the markers; TUM-VI, which has no ``sensor.yaml`` here, states them for the IMU.
     truth = _poses(part, _MEASURED[part.name])
     if not (part.folder / SENSOR_FILE).is_file():

@@ -14,7 +14,9 @@ from typing import Protocol, runtime_checkable
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import visible_files
 from slamhive.base.registry import Registry, instances_of
+from slamhive.domain.calibration import TIME_OFFSET
 from slamhive.domain.dataset import MOST_UNCERTAIN_M
+from slamhive.domain.protocol import check_lever_arm
 from slamhive.recordings.importers.aria import AriaImporter
 from slamhive.recordings.importers.carmen import CarmenImporter
 from slamhive.recordings.importers.euroc import EurocImporter
@@ -137,6 +139,8 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
         raise InvalidInput(f"importer {name} takes no option {', '.join(unfit)}", f"leave it out; it takes {takes}")
     plan = importer.plan(source, options)
     truth = plan.truth
+    if truth is not None and truth.lever_arm_m is not None:
+        check_lever_arm(truth.lever_arm_m, "the lever arm of the ground truth")
     if truth is not None:
         # Some recorders write orientations that mean nothing, such as zeros.
         without = "" if truth.quats_xyzw is None else lacking(truth.quats_xyzw, truth.positions_m)
@@ -163,6 +167,13 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
                 "give the ground truth, or leave the uncertainty out",
             )
         plan = replace(plan, truth=replace(plan.truth, uncertainty_m=options.uncertainty_m))
+    shifts = [
+        f"{sensor.name} needs {sensor.calibration[TIME_OFFSET]} s added to its timestamps to be on the clock of the "
+        f"IMU: timestamps stay as recorded, and algorithms get {TIME_OFFSET}"
+        for sensor in plan.sensors
+        if TIME_OFFSET in sensor.calibration
+    ]
+    plan = replace(plan, notes=(*plan.notes, *shifts))
     refuse_losses(plan.notes, accepted=options.accept_loss)
     return name, plan
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -92,9 +93,15 @@ def plan_recording(
             truth = read_truth_file(options.groundtruth, recorded_s, f"file {options.groundtruth.name}")
         if truth is not None:
             check_clock(truth.times_s, recorded_s, f"the ground truth ({truth.source})", "the recording")
+        planned = None if truth is None else truth.planned
         notes = (*matching.notes, *builder.notes, *_late_pictures(bag, matching), *_notes(bag, truth, recorded_ns))
+        if planned is not None and truth is not None and truth.antenna:
+            arm_m = builder.position_m(truth.antenna)
+            planned = replace(planned, lever_arm_m=arm_m)
+            where = "is not known on the body: 0 0 0 is assumed" if arm_m is None else "is known on the body"
+            notes = (*notes, f"the antenna ({truth.antenna}) {where} (lever_arm_m in dataset.yaml)")
         recording = _recording(paths, bag, matching, sensors, options)
-    return ImportPlan(recording, None if truth is None else truth.planned, text, notes=notes)
+    return ImportPlan(recording, planned, text, notes=notes)
 
 
 def text_of(path: Path, kind: str) -> DatasetText:

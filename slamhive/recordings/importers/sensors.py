@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from slamhive.base.errors import InvalidInput
-from slamhive.domain.calibration import COEFFICIENTS, TIME_OFFSET, CameraIntrinsics, CameraModel
+from slamhive.domain.calibration import COEFFICIENTS, CameraIntrinsics, CameraModel
 from slamhive.domain.sensors import CalibrationValue, Sensor, SensorKind, is_rigid
 from slamhive.recordings.geometry import Array, flat, transform
 from slamhive.recordings.importers.calibration import BODY, FrameGraph, KnownCalibration, KnownSensor, pose_matrix
@@ -65,6 +65,23 @@ def intrinsics_of(info: Any, image_topic: str) -> CameraIntrinsics:
     model, distortion = (CameraModel.PINHOLE, ()) if rectified else _distortion(info, image_topic)
     fx, fy, cx, cy = (float(value) for value in (A[0, 0], A[1, 1], A[0, 2], A[1, 2]))
     return CameraIntrinsics(int(info.width), int(info.height), fx, fy, cx, cy, model, distortion, rectified)
+
+
+def window_of(info: Any, whole: CameraIntrinsics) -> CameraIntrinsics:
+    """The intrinsics of the window that a camera reads out, each pixel the mean of some of the sensor.
+
+    ``CameraInfo`` states those of the whole sensor, a region of interest, and how many pixels become one (``binning``).
+    """
+    roi, step_x, step_y = info.roi, max(int(info.binning_x), 1), max(int(info.binning_y), 1)
+    return replace(
+        whole,
+        width=int(roi.width or whole.width) // step_x,
+        height=int(roi.height or whole.height) // step_y,
+        fx=whole.fx / step_x,
+        fy=whole.fy / step_y,
+        cx=(whole.cx - roi.x_offset) / step_x,
+        cy=(whole.cy - roi.y_offset) / step_y,
+    )
 
 
 def stereo_pose(info: Any, image_topic: str) -> Array:
@@ -190,13 +207,13 @@ class SensorBuilder:
             made.append(Sensor(name, kind, topic.name, rate_hz, matrix, calibration))
         self.notes.append(f"the body frame is that of {self._words(body)}")
         self.notes += self.known.notes
-        for sensor in made:
-            if TIME_OFFSET in sensor.calibration:
-                self.notes.append(
-                    f"{sensor.name} needs {sensor.calibration[TIME_OFFSET]} s added to its timestamps to be on the "
-                    f"clock of the IMU: timestamps stay as recorded, and algorithms get {TIME_OFFSET}"
-                )
         return tuple(made), (min(first for first, _ in spans.values()), max(last for _, last in spans.values()))
+
+    def position_m(self, frame: str) -> tuple[float, ...] | None:
+        """Where a frame of the recording is on the body, None if nothing says so."""
+        graph, body = self._frames()
+        T_body_frame = graph.find(body, _TF + frame)
+        return None if T_body_frame is None else tuple(float(number) for number in T_body_frame[:3, 3])
 
     def _known(self, name: str, kind: SensorKind) -> KnownSensor | None:
         """Calibration of a sensor in files: that of its topic, otherwise that of its name."""
@@ -246,6 +263,12 @@ class SensorBuilder:
         if intrinsics is None:
             info = camera_info_of(self.bag, topic.name)
             intrinsics = None if info is None else intrinsics_of(info, topic.name)
+            if intrinsics is not None and (intrinsics.width, intrinsics.height) != (width, height):
+                window = window_of(info, intrinsics)
+                if (window.width, window.height) == (width, height):
+                    of = f"{intrinsics.width}x{intrinsics.height}"
+                    self.notes.append(f"the CameraInfo of {name} is of {of} pixels; its window and binning are applied")
+                    intrinsics = window
         partner = next((sensor for sensor in made if _shares_pixels(topic.name, width, height, sensor)), None)
         if intrinsics is None and kind is SensorKind.DEPTH and partner is not None:
             intrinsics = CameraIntrinsics.of(partner)

@@ -25,8 +25,8 @@ class FoundTruth:
     """Poses of a frame: times (n,) in s, positions (n, 3) in m, unit quaternions (n, 4) x y z w.
 
     ``quats_xyzw`` is None where only positions are known. ``frame`` is what the recording calls the frame that moves,
-    empty if it does not say. ``sigmas_m`` (n, 3) are the standard deviations of positions along the axes of the world,
-    NaN where a message does not state them.
+    empty if it does not say, ``antenna`` the frame of positions alone. ``sigmas_m`` (n, 3) are the standard deviations
+    of positions along the axes of the world, NaN where a message does not state them.
     """
 
     times_s: Array
@@ -35,6 +35,7 @@ class FoundTruth:
     gravity_aligned: bool
     source: str
     frame: str = ""
+    antenna: str = ""
     sigmas_m: Array | None = None
 
     @property
@@ -128,6 +129,7 @@ def read_truth_topic(bag: SourceBag, wanted: str) -> FoundTruth:
             None,
             gravity_aligned=True,
             source=f"topic {name}",
+            antenna=plain_frame(bag.first(name).header.frame_id),
             sigmas_m=_sigmas_m(rows[:, 4:7]),
         )
         return _checked(bag, found)
