@@ -59,7 +59,11 @@ FIGURES = (
 def print_preview(found: ExperimentPreviewDocument) -> None:
     """Print the preview of an experiment."""
     merged = f", {found.merged} of them identical to another" if found.merged else ""
-    say(f"{found.name}: {found.combinations:,} combinations, {found.cells:,} configurations{merged}")
+    looks = f", and {plural(found.first_looks, 'first look')} at clips" if found.first_looks else ""
+    say(
+        f"{found.name}: {found.combinations:,} combinations, {found.cells - found.first_looks:,} "
+        f"configurations{merged}{looks}"
+    )
     varied = ", ".join(f"{axis} {count}" for axis, count in found.axes.items()) or "nothing varies"
     say(f"varied: {varied}")
     say(f"runs: {found.runs:,}; about {_time(found.time_s)} on {_places(found)}, {_basis(found)}")

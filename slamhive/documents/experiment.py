@@ -62,8 +62,11 @@ class ExperimentPreviewDocument(Document):
 
     name: str
     description: str
-    combinations: Annotated[int, described("Combinations before conditions.")]
+    combinations: Annotated[int, described("Combinations before conditions, without first looks.")]
     cells: Annotated[int, described("Different configurations that meet the conditions.")]
+    first_looks: Annotated[
+        int, described("Those of them that are first looks at a clip, one for each on the whole recording.")
+    ] = 0
     merged: Annotated[int, described("Combinations that are identical to another.")]
     runs: int
     axes: Annotated[dict[str, int], described("How many values each axis has.")]

@@ -213,11 +213,11 @@ class ExperimentRepository(Repository):
         query = select(_EXPERIMENTS).where(*asked, *going_on).order_by(_EXPERIMENTS.c.id)
         return [_record(row) for row in self._connection.execute(query)]
 
-    def spent_s(self, experiment_id: int) -> float:
-        """Time that its runs took together, those that go on not counted (s)."""
-        times = select(_RUNS.c.started_at, _RUNS.c.ended_at).where(_RUNS.c.experiment_id == experiment_id)
+    def durations_s(self, experiment_id: int) -> dict[int, float]:
+        """How long each of its runs that started and ended took: {id: s}."""
+        times = select(_RUNS.c.id, _RUNS.c.started_at, _RUNS.c.ended_at).where(_RUNS.c.experiment_id == experiment_id)
         ended = times.where(_RUNS.c.started_at.is_not(None), _RUNS.c.ended_at.is_not(None))
-        return float(sum((row.ended_at - row.started_at).total_seconds() for row in self._connection.execute(ended)))
+        return {row.id: (row.ended_at - row.started_at).total_seconds() for row in self._connection.execute(ended)}
 
     def change(self, experiment_id: int, **values: Any) -> None:
         """Write these fields."""
@@ -298,6 +298,11 @@ class ExperimentRepository(Repository):
     def run_ids(self, experiment_id: int) -> list[int]:
         """The ids of all its runs, retries included, in order."""
         return self._column(select(_RUNS.c.id).where(_RUNS.c.experiment_id == experiment_id).order_by(_RUNS.c.id))
+
+    def configurations_that_ran(self, experiment_id: int) -> dict[int, int]:
+        """The id of the configuration of its runs, by number of the cell."""
+        query = select(_RUNS.c.cell, _RUNS.c.configuration_id).where(_RUNS.c.experiment_id == experiment_id).distinct()
+        return {row.cell: row.configuration_id for row in self._connection.execute(query) if row.cell is not None}
 
     def strangers(self, experiment_id: int) -> int:
         """The number of its runs that have a configuration other than that of their cell."""

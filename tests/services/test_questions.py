@@ -13,6 +13,7 @@ from slamhive.documents.plain import ConfigurationStanding
 from slamhive.domain.question import CandidateStanding, QuestionAnswer
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
+from slamhive.services.deciding.look import STORING
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
@@ -213,6 +214,17 @@ def test_a_metric_that_no_run_reports_ends_it(hive: Hive):
     assert hive.experiments.status("two").conclusion == (
         "Undecided: no run reports gpu.memory_max. Another metric can be compared."
     )
+
+
+def test_an_interrupted_start_is_told_and_nothing_is_chosen_before_it_is_completed(hive: Hive):
+    start(hive)
+    record = hive.store.read(lambda t: t.experiments.get("two"))
+    hive.store.write(lambda t: t.experiments.change(record.id, complete=False))
+    assert hive.questions.decision("two").next == STORING
+    assert (hive.questions.advance("two"), list(hive.questions.unfinished("two"))) == (0, [])
+    assert hive.experiments.status("two").conclusion is None
+    start(hive)
+    assert hive.questions.advance("two") == 4
 
 
 def test_a_paused_experiment_asks_for_nothing(hive: Hive):

@@ -13,6 +13,8 @@ import pytest
 from slamhive.domain.question import QuestionAnswer
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
+from slamhive.services.reindex import reindex
+from tests.services.test_experiment_recovery import lose_database, silent
 from tests.waiting import eventually
 
 pytestmark = [pytest.mark.integration, pytest.mark.timeout(300)]
@@ -52,6 +54,49 @@ def test_a_killed_command_goes_on_where_it_was(hive: Hive, tmp_path: Path):
     after = hive.experiments.run_ids("behaviours")
     assert after[: len(before)] == before
     assert len(after) == hive.questions.decision("behaviours").runs
+
+
+LOOKS = """\
+name: behaviours
+algorithms: tiny
+datasets: track
+parameters: {behaviour: good | crash, seconds: 0 | 1}
+optimise: {budget: 4 runs, first_look: 2 s, keep: 50%, worst: 1 m, within: 50%}
+executor: process
+"""
+
+
+def test_first_looks_survive_kills_and_a_lost_database_without_their_recording(hive: Hive, tmp_path: Path):
+    file = tmp_path / "behaviours.yaml"
+    file.write_text(LOOKS)
+    command = [sys.executable, "-m", "slamhive", "experiment", "optimise", str(file)]
+    first = subprocess.Popen(command, cwd=CHECKOUT, start_new_session=True)
+    eventually(lambda: _ended(hive) > 0, "the end of a first look")
+    os.killpg(first.pid, signal.SIGKILL)
+    first.wait()
+    before = hive.experiments.run_ids("behaviours")
+    assert len(before) == 4, "one first look at each combination"
+    second = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
+    assert second.returncode in {0, 3}, second.stderr
+    found = hive.questions.search("behaviours")
+    assert found.words in second.stdout
+    runs = [hive.runs.get(run_id) for run_id in hive.experiments.run_ids("behaviours")]
+    assert [run.id for run in runs][:4] == list(before)
+    looked = [(run.cell, run.seed) for run in runs if run.variant]
+    assert len(looked) == len(set(looked)) == found.first_looks == 4
+    assert len(runs) - 4 == found.runs <= 4
+    cells = [(cell.number, cell.values) for cell in hive.experiments.report("behaviours")]
+
+    # The folders of the runs are enough to restore it, although the recording is gone.
+    hive.catalogue.dataset("track").bag_path.unlink()
+    again = lose_database(hive)
+    try:
+        report = reindex(again, silent)
+        assert (report.skipped, report.queued) == ([], 0)
+        assert again.questions.search("behaviours") == found
+        assert [(cell.number, cell.values) for cell in again.experiments.report("behaviours")] == cells
+    finally:
+        again.close()
 
 
 def _ended(hive: Hive) -> int:

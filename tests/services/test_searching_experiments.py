@@ -14,8 +14,11 @@ import pytest
 from slamhive.analysis import optuna_sampling
 from slamhive.base.errors import InvalidInput, NotFound, Unavailable
 from slamhive.documents.experiment import SearchStanding
+from slamhive.domain.dataset import Dataset
 from slamhive.domain.question import QuestionAnswer
 from slamhive.domain.run import FailureReason
+from slamhive.experiments.file import parse_experiment
+from slamhive.recordings import reader
 from slamhive.services.deciding import optimise
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource, starting
@@ -239,6 +242,52 @@ def test_first_looks_rank_and_only_whole_runs_answer(hive: Hive):
     assert not any("first_look" in ranked.cell.values for ranked in (*ranking.best, *ranking.worst))
     assert ranking.best[0].good is not None
     assert ranking.best[0].good.mean < 0.1
+
+
+def test_each_recording_is_opened_once_for_first_looks(hive: Hive, monkeypatch: pytest.MonkeyPatch):
+    opened: list[str] = []
+    read = reader.recording_begin_s
+
+    def opening(dataset: Dataset) -> float:
+        opened.append(dataset.name)
+        return read(dataset)
+
+    monkeypatch.setattr(reader, "recording_begin_s", opening)
+    text = MANY.replace("eye-slam-stereo", "eye-slam-stereo | eye-slam-mono")
+    text = text.replace("90 runs", "90 runs, first_look: 1 s")
+    hive.experiments.context.expand(parse_experiment(text, "many.yaml"))
+    assert opened == ["room"]
+
+
+def test_a_plan_tells_first_looks_and_whole_recordings_apart(hive: Hive):
+    plain = hive.experiments.preview(ExperimentSource(MANY))
+    looked = hive.experiments.preview(ExperimentSource(MANY.replace("90 runs", "90 runs, first_look: 1 s")))
+    assert (plain.combinations, plain.cells, plain.first_looks) == (72, 72, 0)
+    assert (looked.combinations, looked.cells, looked.first_looks) == (72, 144, 72)
+    assert plain.time_s < looked.time_s < 1.5 * plain.time_s, "a clip of 1 s of 40 s takes little time"
+
+
+def test_first_looks_leave_time_for_the_runs_that_follow_them(hive: Hive):
+    start(hive, MANY.replace("90 runs", "3 min, first_look: 15 s, keep: 25%"))
+    assert hive.questions.advance("many") == 4, "nobody knows yet how long a look takes"
+    end(hive, noisy, "many")
+    asked = hive.questions.advance("many")
+    assert 4 < 4 + asked < 72, "a look at each combination would leave no time for whole recordings"
+    end(hive, noisy, "many")
+    found = searched(hive, noisy)
+    assert found.runs >= (4 + asked) / 4
+
+
+def test_a_budget_of_time_asks_for_few_runs_before_one_has_ended(hive: Hive):
+    start(hive, MANY.replace("90 runs", "30 s"))
+    assert hive.questions.advance("many") == 4
+    end(hive, noisy, "many")
+    found = searched(hive, noisy)
+    assert found.runs < 24
+    assert (
+        found.words
+        == f"Undecided: the budget of 0.5 min had room for {found.runs} runs, and 24 are needed to say anything."
+    )
 
 
 def test_a_clip_without_any_error_is_the_best_of_the_first_looks(hive: Hive):

@@ -16,7 +16,7 @@ from slamhive.domain.metrics import Direction, Metric, described
 from slamhive.domain.names import plural
 from slamhive.domain.question import CandidateStanding, ExperimentQuestion, QuestionAnswer
 from slamhive.experiments.experiment import DecidePlan, ExperimentCandidate
-from slamhive.services.deciding.look import QuestionLook, RunUse
+from slamhive.services.deciding.look import STORING, QuestionLook, RunUse
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,8 @@ def next_decision(look: QuestionLook, plan: DecidePlan, at_once: int) -> Decisio
     metric = described(plan.metric)
     sign = -1.0 if metric.direction is Direction.HIGHER else 1.0
     racing = tuple(candidate for candidate in look.candidates if look.hindrance(candidate) is None)
+    if not look.record.complete:
+        return DecisionStep(_decision(look, plan, None, QuestionAnswer.OPEN, STORING))
     if not racing:
         reasons = ", ".join(sorted({str(look.hindrance(candidate)).replace("_", " ") for candidate in look.candidates}))
         words = f"Undecided: no candidate can run: {reasons}."
@@ -121,7 +123,7 @@ def _more(look: QuestionLook, entered: _Entered, left: Sequence[ExperimentCandid
             for cell in candidate.cells.values()
         }
         more = {cell: count for cell, count in lacking.items() if count > 0}
-        if sum(more.values()) <= budget.runs_left(look.asked, look.spent_s):
+        if sum(more.values()) <= look.runs_left(budget):
             return more
         rounds -= 1
     return {}

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slamhive.domain.question import RunBudget
+from slamhive.domain.question import MOST_RUNS, RunBudget
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.experiments.experiment import Experiment, ExperimentCandidate, candidates_of
 from slamhive.experiments.file import parse_experiment
 from slamhive.store import Transaction
 from slamhive.store.records import CellRun, ExperimentRecord
+
+STORING = "Its combinations are not stored completely: starting the same file again completes them."
+"""What comes next in an experiment whose start was interrupted."""
 
 
 class RunUse(StrEnum):
@@ -43,11 +47,26 @@ class ObservedRun:
 
 
 @dataclass(frozen=True, slots=True)
+class SpentTime:
+    """How long runs took: ``ended`` of them ``spent_s`` together, and ``waiting`` have not ended."""
+
+    ended: int = 0
+    spent_s: float = 0.0
+    waiting: int = 0
+
+    @property
+    def mean_s(self) -> float | None:
+        """How long one takes; None before the first has ended."""
+        return max(self.spent_s / self.ended, 1e-3) if self.ended else None
+
+
+@dataclass(frozen=True, slots=True)
 class QuestionLook:
     """One moment of an experiment.
 
     ``runs``: by cell, in the order in which they were asked for, without those that another replaced. ``asked`` counts
-    them all, and they took ``spent_s`` together. ``looked`` of them are first looks at a clip.
+    them all. ``looked`` of them are first looks at a clip. ``wholes`` and ``clips`` say how long both kinds took. A
+    whole recording is ``times_clip`` times as long as a clip, on average.
     """
 
     record: ExperimentRecord
@@ -55,13 +74,15 @@ class QuestionLook:
     candidates: tuple[ExperimentCandidate, ...]
     runs: Mapping[int, Sequence[ObservedRun]]
     asked: int
-    spent_s: float
     looked: int = 0
+    wholes: SpentTime = SpentTime()
+    clips: SpentTime = SpentTime()
+    times_clip: float = 1.0
 
     @property
     def datasets(self) -> tuple[str, ...]:
-        """The datasets, in the order of the file."""
-        return tuple(self.candidates[0].cells)
+        """The datasets, in the order of the file; none while the combinations are being stored."""
+        return tuple(self.candidates[0].cells) if self.candidates else ()
 
     @property
     def combinations(self) -> int:
@@ -79,7 +100,8 @@ class QuestionLook:
             for cell, runs in sorted(self.runs.items())
             for run in runs
         ]
-        told = repr((self.record.uid, self.experiment.content_hash, self.asked, self.spent_s, runs))
+        known = self.record.uid, self.record.complete, self.experiment.content_hash, self.asked
+        told = repr((*known, self.wholes, self.clips, runs))
         return hashlib.sha256(told.encode()).digest()
 
     def results(self, cell: int) -> list[ObservedRun]:
@@ -95,11 +117,43 @@ class QuestionLook:
         return [run for cell in candidate.looks.values() for run in self.runs.get(cell, ())]
 
     def runs_left(self, budget: RunBudget) -> int:
-        """Number of further runs on whole recordings. Time counts all runs, so each comes with its first looks.
+        """Number of further runs on whole recordings that the budget has room for.
 
-        Until a whole recording has run, first looks say how long a run takes.
+        Of a budget of time, each takes as long as those that ended, and a first look comes with it. Until a whole
+        recording has run, first looks say how long that takes. Before any run has ended, nothing is known.
         """
-        return budget.runs_left(self.asked - self.looked or (self.looked if budget.runs is None else 0), self.spent_s)
+        if budget.time_s is None:
+            return budget.runs_left(self.asked - self.looked, 0.0)
+        whole_s = self._whole_s
+        if whole_s is None:
+            return MOST_RUNS
+        return max(0, math.floor(self._left_s(budget.time_s) / (whole_s + (self.clips.mean_s or 0.0))))
+
+    def looks_left(self, budget: RunBudget, keep: float) -> int | None:
+        """Number of further first looks that a budget of time has room for, with the runs that follow the best of them.
+
+        Args:
+            budget: Of the experiment. keep: The share of first looks that a run on the whole recording follows.
+
+        Returns:
+            None where the budget does not count first looks, or before one has ended.
+        """
+        if budget.time_s is None or self.clips.mean_s is None or (whole_s := self._whole_s) is None:
+            return None
+        # Those that were made still have to be followed by the share of them that is kept.
+        owed_s = max(0.0, keep * self.looked - (self.asked - self.looked)) * whole_s
+        return max(0, math.floor((self._left_s(budget.time_s) - owed_s) / (self.clips.mean_s + keep * whole_s)))
+
+    @property
+    def _whole_s(self) -> float | None:
+        if self.wholes.mean_s is not None or self.clips.mean_s is None:
+            return self.wholes.mean_s
+        return self.times_clip * self.clips.mean_s
+
+    def _left_s(self, time_s: float) -> float:
+        """What is left of a budget of time when the runs that wait have ended."""
+        waiting_s = self.wholes.waiting * (self._whole_s or 0.0) + self.clips.waiting * (self.clips.mean_s or 0.0)
+        return time_s - self.wholes.spent_s - self.clips.spent_s - waiting_s
 
     def hindrance(self, candidate: ExperimentCandidate) -> FailureReason | None:
         """Why the candidate cannot run at all; None if it can."""
@@ -152,5 +206,27 @@ def look_at(t: Transaction, record: ExperimentRecord) -> QuestionLook:
                     failure=failure,
                 )
             )
+    durations_s = t.experiments.durations_s(record.id)
+
+    def spent(*, is_clip: bool) -> SpentTime:
+        of_kind = [run for run in found if of_cell[run.cell][1] is is_clip]
+        took_s = [durations_s[run.id] for run in of_kind if run.id in durations_s]
+        waiting = sum(run.id in unfinished and run.id not in durations_s for run in of_kind)
+        return SpentTime(len(took_s), sum(took_s), waiting)
+
+    times_clip = 1.0
+    if experiment.optimise is not None and experiment.optimise.first_look is not None and candidates:
+        wholes_s = [dataset.duration_s for dataset in t.catalogue.datasets() if dataset.name in candidates[0].cells]
+        times_clip = sum(wholes_s) / max(1, len(wholes_s)) / experiment.optimise.first_look.seconds
     looked = sum(of_cell[run.cell][1] for run in found)
-    return QuestionLook(record, experiment, candidates, runs, len(found), t.experiments.spent_s(record.id), looked)
+    return QuestionLook(
+        record,
+        experiment,
+        candidates,
+        runs,
+        len(found),
+        looked,
+        wholes=spent(is_clip=False),
+        clips=spent(is_clip=True),
+        times_clip=times_clip,
+    )

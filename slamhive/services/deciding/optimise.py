@@ -34,7 +34,7 @@ from slamhive.domain.parameters import Value
 from slamhive.domain.question import ExperimentQuestion, QuestionAnswer, SearchSampler
 from slamhive.domain.run import FailureReason
 from slamhive.experiments.experiment import ALGORITHM, FAILED, LEAST_SEARCH_RUNS, ExperimentCandidate, OptimisePlan
-from slamhive.services.deciding.look import ObservedRun, QuestionLook, RunUse
+from slamhive.services.deciding.look import STORING, ObservedRun, QuestionLook, RunUse
 
 _SHOWN = 12
 _TWO_SIDED = 1.96
@@ -294,6 +294,8 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
     Runs may be under way: others join them when half of the places are free.
     """
     plan, state = seen.plan, seen.state
+    if not look.record.complete:
+        return QuestionAnswer.OPEN, STORING, {}
     if not seen.candidates:
         return QuestionAnswer.UNDECIDED, "Undecided: no candidate can run.", {}
     waiting = len(seen.pending) + len(seen.looking)
@@ -311,7 +313,7 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
     left = look.runs_left(plan.budget)
     room = min(at_once - waiting, left)
     if state is None:
-        return _beginning(look, seen, left, under_way)
+        return _beginning(look, seen, left, at_once, under_way)
     if room < 1 or waiting > at_once // 2:
         return under_way if waiting else (QuestionAnswer.UNDECIDED, _sentence(look, seen, state), {})
     proving = unproven and (near_enough or left <= len(unproven) + at_once)
@@ -349,9 +351,13 @@ def _outcome(look: QuestionLook, seen: _Seen, at_once: int) -> tuple[QuestionAns
 _Outcome = tuple[QuestionAnswer, str, Mapping[int, int]]
 
 
-def _beginning(look: QuestionLook, seen: _Seen, left: int, under_way: _Outcome) -> _Outcome:
-    """The first looks and the first runs, before anything can be said of those that have not run."""
+def _beginning(look: QuestionLook, seen: _Seen, left: int, at_once: int, under_way: _Outcome) -> _Outcome:
+    """The first looks and the first runs, before anything can be said of those that have not run.
+
+    Of a budget of time nobody knows what fits, until the first few have ended.
+    """
     plan, waiting = seen.plan, len(seen.pending) + len(seen.looking)
+    few = None if plan.budget.time_s is None else max(0, at_once - waiting)
     # A clip may be too short for a metric that the whole has, so whole recordings decide what is reported.
     good = [run for candidate in seen.candidates for run in look.of(candidate) if run.use is RunUse.GOOD]
     lacking = [key for key in plan.metrics if good and not any(key in run.metrics for run in good)]
@@ -362,6 +368,8 @@ def _beginning(look: QuestionLook, seen: _Seen, left: int, under_way: _Outcome) 
     if plan.first_look is not None and left > 0:
         wanted = [int(place) for place in order[: math.ceil(LEAST_SEARCH_RUNS / plan.first_look.keep)]]
         unseen = [place for place in wanted if not look.looks_of(seen.candidates[place])]
+        fits = look.looks_left(plan.budget, plan.first_look.keep) if look.clips.ended else few
+        unseen = unseen[:fits]
         if unseen:
             words = f"First looks, {plan.first_look.words} each, at random places."
             return QuestionAnswer.OPEN, words, _cells(look, seen, unseen, looks=True)
@@ -370,6 +378,8 @@ def _beginning(look: QuestionLook, seen: _Seen, left: int, under_way: _Outcome) 
     first = LEAST_SEARCH_RUNS if plan.first_look is None else seen.least
     missing = first - len(seen.scores) - waiting
     missing = min(max(missing, 0 if waiting else 1), left)
+    if few is not None and not (look.wholes.ended or look.clips.ended):
+        missing = min(missing, few)
     if missing < 1:
         return under_way if waiting else (QuestionAnswer.UNDECIDED, _nothing_good(look, seen), {})
     new = [int(place) for place in order if not look.of(seen.candidates[place])]
@@ -445,7 +455,11 @@ def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
                 f"Undecided: no run kept {limit.metric} {sign} {limit.value:.4g} {unit}; the nearest is {label} with "
                 f"{nearest:.4g}."
             )
-    return f"Undecided: fewer than two of {plural(look.asked - look.looked, 'run')} were good."
+    made = plural(look.asked - look.looked, "run")
+    if plan.budget.time_s is not None and len(seen.scores) < seen.least:
+        room = f"the budget of {plan.budget.words} had room for {made}"
+        return f"Undecided: {room}, and {seen.least} are needed to say anything."
+    return f"Undecided: fewer than two of {made} were good."
 
 
 def _standing(look: QuestionLook, seen: _Seen, answer: QuestionAnswer, words: str) -> SearchStanding:

@@ -107,7 +107,8 @@ class Questions:
         while True:
             found = self._experiments.unfinished(name)
             record = self._store.read(lambda t: t.experiments.get(name))
-            if found or not record.undecided or record.state is not ExperimentState.ACTIVE:
+            going_on = record.undecided and record.complete and record.state is ExperimentState.ACTIVE
+            if found or not going_on:
                 return found
             try:
                 if not self.advance(name):

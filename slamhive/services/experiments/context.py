@@ -66,10 +66,16 @@ class ExperimentContext:
 
         return ExperimentSource(name_datasets(source.text, source.name, choose), source.name)
 
-    def expand(self, experiment: Experiment, assumed: Mapping[str, Dataset] | None = None) -> Expansion:
+    def expand(
+        self,
+        experiment: Experiment,
+        assumed: Mapping[str, Dataset] | None = None,
+        begins_s: Mapping[str, float] | None = None,
+    ) -> Expansion:
         """Expand ``experiment`` into its runs, checked against the current catalogue.
 
-        ``assumed`` are datasets that stand for what is not here yet.
+        ``assumed`` are datasets that stand for what is not here yet. ``begins_s`` says when recordings begin (s since
+        1970), where that is known without them: {dataset: time}.
 
         Raises NotFound or InvalidInput naming file and line, with the reason if a folder cannot be read.
         """
@@ -97,13 +103,20 @@ class ExperimentContext:
             wanted = to_fetch(unfetched(map(str, experiment.datasets.values), datasets, self.catalogue.project_root))
             if wanted is not None:
                 raise at(experiment.datasets.place, NotFound(wanted.words, wanted.command))
+        # What is not fetched yet begins at 0: its plan is the same, and nothing of it runs. A recording is opened once.
+        known_s = {**dict.fromkeys(assumed or {}, 0.0), **(begins_s or {})}
+
+        def begin_s(dataset: Dataset) -> float:
+            if dataset.name not in known_s:
+                known_s[dataset.name] = recording_begin_s(dataset)
+            return known_s[dataset.name]
+
         view = CatalogueView(
             self.catalogue.versioned_algorithms(),
             datasets | dict(assumed or {}),
             RegisteredSteps(),
             lambda reference, algorithm: find_map(self.store, self.settings.runs_folder, reference, algorithm).map,
-            # What is not fetched yet begins at 0: its plan is the same, and nothing of it runs.
-            lambda dataset: 0.0 if dataset.name in (assumed or {}) else recording_begin_s(dataset),
+            begin_s,
         )
         return expand(experiment, view)
 

@@ -27,7 +27,7 @@ from slamhive.domain.protocol import Protocol
 from slamhive.domain.side_by_side import PlannedMixture, ProtocolUse, mixed_protocols, of_live
 from slamhive.experiments.binding import at
 from slamhive.experiments.expansion import Expansion, PlannedRun
-from slamhive.experiments.experiment import Experiment
+from slamhive.experiments.experiment import FIRST_LOOK, Experiment
 from slamhive.recordings.variants.cache import VariantEntry
 from slamhive.services.configurations import unwatchable
 from slamhive.services.evaluations import fitting_protocol
@@ -342,6 +342,7 @@ def chunks_of(expansion: Iterable[PlannedRun], size: int) -> Iterator[list[list[
 @dataclass(slots=True)
 class _Sums:
     cells: int = 0
+    first_looks: int = 0
     runs: int = 0
     known_cells: int = 0
     known_runs: int = 0
@@ -393,12 +394,14 @@ def preview(
     means_s = {
         pairing: found.seconds for pairing, found in context.store.read(lambda t: t.durations.of_pairings()).items()
     }
+    looks = None if experiment.optimise is None else experiment.optimise.first_look
+    clip_s = None if looks is None else looks.seconds
     sums = _Sums()
     for chunk in chunks_of(expansion, CHUNK):
         hashes = [cell[0].content_hash for cell in chunk]
         known = context.store.read(lambda t, hashes=hashes: t.durations.of_configurations(hashes))  # type: ignore[misc]
         for cell in chunk:
-            run_s = _add(sums, cell, known.get(cell[0].content_hash), means_s, recordings_s)
+            run_s = _add(sums, cell, known.get(cell[0].content_hash), means_s, recordings_s, clip_s)
             sums.work.add(cell[0].configuration, run_s + between_s, len(cell))
         progress(sums.runs, expansion.size.runs)
     cluster = None
@@ -413,8 +416,9 @@ def preview(
     return ExperimentPreviewDocument(
         name=experiment.name,
         description=experiment.description,
-        combinations=expansion.size.combinations,
+        combinations=expansion.size.combinations // (1 if looks is None else 2),
         cells=sums.cells,
+        first_looks=sums.first_looks,
         merged=expansion.merged,
         runs=sums.runs,
         axes=dict(expansion.size.axes),
@@ -464,8 +468,9 @@ def _add(
     known: KnownConfiguration | None,
     means_s: dict[Pairing, float],
     recordings_s: dict[str, float],
+    clip_s: float | None,
 ) -> float:
-    """Count the runs of a cell; how long one of them takes (s)."""
+    """Count the runs of a cell; how long one of them takes (s). ``clip_s``: length of a first look."""
     first = cell[0]
     configuration = first.configuration
     pairing = (
@@ -474,11 +479,16 @@ def _add(
         configuration.playback.mode,
         configuration.playback.rate,
     )
-    measured_s = known.duration_s if known is not None and known.measured_runs else means_s.get(pairing)
+    # Runs on whole recordings do not tell how long one on a clip takes.
+    is_clip = clip_s is not None and FIRST_LOOK in first.values
+    own = known is not None and known.measured_runs
+    measured_s = known.duration_s if known is not None and own else None if is_clip else means_s.get(pairing)
     if measured_s is not None:
         sums.measured_runs += len(cell)
     else:
-        measured_s = guessed_duration_s(pairing, recordings_s[configuration.dataset])
+        seen_s = clip_s if is_clip and clip_s is not None else recordings_s[configuration.dataset]
+        measured_s = guessed_duration_s(pairing, seen_s)
+    sums.first_looks += is_clip
     sums.first.setdefault((configuration.algorithm, configuration.dataset), configuration)
     sums.cells += 1
     sums.runs += len(cell)

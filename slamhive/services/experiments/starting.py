@@ -26,7 +26,13 @@ from slamhive.domain.placement import run_affinity
 from slamhive.domain.protocol import Protocol
 from slamhive.domain.question import SearchSampler
 from slamhive.experiments.expansion import Expansion, PlannedRun
-from slamhive.experiments.experiment import Experiment, ExperimentCandidate, candidates_of, check_candidates
+from slamhive.experiments.experiment import (
+    FIRST_LOOK,
+    Experiment,
+    ExperimentCandidate,
+    candidates_of,
+    check_candidates,
+)
 from slamhive.experiments.file import parse_experiment
 from slamhive.services.experiments.context import ExperimentContext, Progress, silent
 from slamhive.services.experiments.folder import ExperimentFolder, StoredExperiment, experiment_folders
@@ -486,7 +492,8 @@ def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
         try:
             experiment = replace(parse_experiment(record.source, str(folder.root)), repeats=record.repeats)
             cancelled = record.state is ExperimentState.CANCELLED
-            fill(context, record, experiment, context.expand(experiment), silent, cells_only=cancelled)
+            expansion = context.expand(experiment, begins_s=_begins_s(context, record, experiment))
+            fill(context, record, experiment, expansion, silent, cells_only=cancelled)
             context.store.write(lambda t, i=record.id: _repeat_disturbed(t, i))  # type: ignore[misc]
             other = context.store.read(lambda t, i=record.id: t.experiments.strangers(i))  # type: ignore[misc]
             if other:
@@ -495,6 +502,30 @@ def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
             problem = str(error)
         _follow(context, record)
         yield Restored(folder, _run_count(context, record) - before, problem)
+
+
+def _begins_s(context: ExperimentContext, record: ExperimentRecord, experiment: Experiment) -> dict[str, float]:
+    """When the recordings begin at whose clips first looks were made (s since 1970): {dataset: time}.
+
+    The runs say so, so that an experiment is restored without its recordings.
+    """
+    if experiment.optimise is None or experiment.optimise.first_look is None:
+        return {}
+    # The number of a cell does not depend on when the recording begins.
+    names = map(str, experiment.datasets.values)
+    datasets = {
+        run.cell: run.configuration.dataset
+        for run in context.expand(experiment, begins_s=dict.fromkeys(names, 0.0))
+        if FIRST_LOOK in run.values
+    }
+
+    def work(t: Transaction) -> dict[str, float]:
+        ran = t.experiments.configurations_that_ran(record.id)
+        known = {dataset: ran[cell] for cell, dataset in datasets.items() if cell in ran}
+        clips = {dataset: t.configurations.get(number).variant[-1] for dataset, number in known.items()}
+        return {dataset: float(clip.options["begin_s"]) for dataset, clip in clips.items()}
+
+    return context.store.read(work)
 
 
 def _repeat_disturbed(t: Transaction, experiment_id: int) -> None:

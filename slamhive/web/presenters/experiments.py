@@ -256,12 +256,14 @@ def cell_lines(
 
 def preview_facts(preview: ExperimentPreviewDocument) -> list[tuple[str, str]]:
     """The preview as names and texts."""
-    combined = f"{thousands(preview.cells)} of {plural(preview.combinations, 'combination')}"
+    combined = f"{thousands(preview.cells - preview.first_looks)} of {plural(preview.combinations, 'combination')}"
+    looks = [("First looks", f"{thousands(preview.first_looks)} at clips")] if preview.first_looks else []
     identical = f", {thousands(preview.merged)} identical to another" if preview.merged else ""
     again = plural(preview.repeat_disturbed, "repeat")
     repeats = f"; up to {again} of each disturbed run, not counted here" if preview.repeat_disturbed else ""
     return [
         ("Configurations", combined + identical),
+        *looks,
         ("Runs", thousands(preview.runs) + repeats),
         ("Existing", _known(preview)),
         ("Time", f"about {duration(preview.time_s)} on {plural(preview.slots, 'slot')}; {_time_basis(preview)}"),
