@@ -204,6 +204,8 @@ class RunRow(TableBase):
 
     __tablename__ = "runs"
     __table_args__ = (
+        # Groups of repeats and how many of them failed are read from the index alone.
+        Index("ix_runs_configuration_outcome", "configuration_id", "state", "reason"),
         Index("ix_runs_queue", "state", "held", "priority", "id"),
         Index("ix_runs_affinity", "state", "held", "priority", "affinity", "id"),
         Index("ix_runs_experiment_cells", "experiment_id", "cell", "state", "reason", "current_protocol_id"),
@@ -214,7 +216,7 @@ class RunRow(TableBase):
     )
     id = column(Integer, primary_key=True)
     uid = column(String(32), unique=True)
-    configuration_id = column(Integer, ForeignKey("configurations.id"), index=True)
+    configuration_id = column(Integer, ForeignKey("configurations.id"))
     algorithm_version_id = optional(Integer, ForeignKey("algorithm_versions.id"), index=True)
     host_id = optional(Integer, ForeignKey("hosts.id"))
     dataset_checksum = optional(String(80))

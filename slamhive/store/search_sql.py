@@ -13,6 +13,7 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     Connection,
+    Dialect,
     FromClause,
     Select,
     TableClause,
@@ -30,6 +31,7 @@ from sqlalchemy import (
     true,
     union,
 )
+from sqlalchemy.types import UserDefinedType
 
 from slamhive.base.errors import unknown
 from slamhive.domain.accounts import Visibility
@@ -163,24 +165,31 @@ class Names:
     """The ids behind the names of a search and of the order of its list.
 
     ``parameters``: {key or general name: ids}. ``protocol_id``: the chosen protocol, None for each run's current one.
+    ``mixed``: whether several protocols may have computed the values that a mean is over.
     ``glob``: whether the database has GLOB, else LIKE with a binary collation.
     """
 
     metrics: dict[str, int]
     parameters: dict[str, tuple[int, ...]]
     protocol_id: int | None
+    mixed: bool
     glob: bool
 
 
 def look_up(connection: Connection, search: Search, parameters: Iterable[str] = ()) -> Names:
     """The ids behind ``search`` and further ``parameters``; raises NotFound for an unknown protocol."""
-    wanted = set(parameters)
-    if search.tree is not None:
-        wanted |= {leaf.field.name for leaf in leaves(search.tree) if leaf.field.source is Source.PARAMETER}
+    asked = [] if search.tree is None else list(leaves(search.tree))
+    chosen = None if search.protocol is None else _protocol_id(connection, search.protocol)
+    mixed = chosen is None
+    if mixed and any(leaf.field.source is Source.MEAN for leaf in asked):
+        lowest, highest = (select(end(RUNS.c.current_protocol_id)).scalar_subquery() for end in (func.min, func.max))
+        mixed = bool(connection.execute(select(lowest != highest)).scalar_one())
+    wanted = {*parameters, *(leaf.field.name for leaf in asked if leaf.field.source is Source.PARAMETER)}
     return Names(
         metrics={row.key: row.id for row in connection.execute(select(MetricRow.key, MetricRow.id))},
         parameters=_parameter_ids(connection, wanted),
-        protocol_id=None if search.protocol is None else _protocol_id(connection, search.protocol),
+        protocol_id=chosen,
+        mixed=mixed,
         glob=connection.dialect.name == "sqlite",
     )
 
@@ -262,6 +271,7 @@ DERIVED: dict[Source, Callable[[Condition], Bound]] = {Source.VERDICT: verdict_t
 
 COMPLEMENTS = frozenset({Sign.NOT_EQUAL, Sign.NOT_IN, Sign.UNLIKE, Sign.MISSING})
 _MOST_PARAMETERS = 100
+_NOTHING = "SELECT 1 FROM (SELECT 1 AS one) AS empty_list WHERE 1 != 1"
 _NEEDS_ONE = frozenset({Sign.LESS, Sign.AT_MOST, Sign.MORE, Sign.AT_LEAST})
 """Comparisons that some value fulfils if the mean of all does."""
 _COMPARE: dict[Sign, Callable[[Any, Any], ColumnElement[bool]]] = {
@@ -337,7 +347,8 @@ class Sql:
             # takes twice as long, because their runs lie all over the table.
             .join_from(own, figures, figures.c.run_id == own.c.id + 0)
             .where(self.test(self._averaged, own), not_(self.failed(own)))
-            .group_by(own.c.configuration_id, figures.c.protocol_id)
+            # The index has the order of the configurations; with the protocol, all values would have to be sorted.
+            .group_by(own.c.configuration_id, *([figures.c.protocol_id] if self._names.mixed else []))
         )
         if leaf.sign is not Sign.HAS:
             means = means.having(self.compare(func.avg(figures.c.value), leaf))
@@ -522,7 +533,17 @@ class Sql:
 
 def among(column: ColumnElement[int], ids: Sequence[int]) -> ColumnElement[bool]:
     """Test for one of ``ids``. They become part of the statement: drivers limit the number of parameters."""
-    return column.in_(bindparam(None, list(ids), expanding=True, literal_execute=True))
+    return column.bool_op("IN")(bindparam(None, ids, type_=_Ids(), literal_execute=True))
+
+
+class _Ids(UserDefinedType[Sequence[int]]):
+    """Ids in brackets, rendered at once. Rendered one by one, they take longer than the database needs for them."""
+
+    cache_ok = True
+
+    def literal_processor(self, dialect: Dialect) -> Callable[[Sequence[int]], str]:  # noqa: ARG002
+        """Digits with commas between them; without ids, a query that finds nothing."""
+        return lambda ids: f"({', '.join(map(str, map(int, ids))) or _NOTHING})"
 
 
 def _any(query: Select[Any]) -> ColumnElement[bool]:

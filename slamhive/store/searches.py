@@ -249,7 +249,9 @@ class Groups:
             rows = ConfigurationRow.__table__.alias()
             numbered = select(rows.c.id.label("configuration_id")).subquery()
             fitting = select(numbered.c.configuration_id).where(sql.test(self.of_means, numbered))
-            chosen = Condition(BUILT_IN["configuration"], Sign.IN, tuple(self.connection.execute(fitting).scalars()))
+            chosen = Condition(
+                BUILT_IN["configuration"], Sign.IN, tuple(self.connection.execute(fitting).scalars().all())
+            )
             search = replace(self.search, tree=all_of([self.of_runs, chosen]))
             found = replace(self, search=search, of_means=None)
         runs, few = Matches(self.connection, found.search, self.sql).survey()
