@@ -262,6 +262,9 @@ def _ground_truth_in_words(entry: Dataset) -> str:
         "" if entry.groundtruth_path is not None and entry.groundtruth_path.is_file() else "the file is missing",
         "z axis up" if truth.gravity_aligned else "z axis not known to point up",
         "positions only" if truth.positions_only else "",
+        "" if truth.lever_arm_m is None else f"lever arm {' '.join(f'{m:g}' for m in truth.lever_arm_m)} m",
+        "" if truth.uncertainty_m is None else f"uncertainty {truth.uncertainty_m:g} m",
+        "" if truth.uncertainties is None else f"uncertainty of each pose in {truth.uncertainties}",
     )
     return f"{truth.file}, {', '.join(trait for trait in traits if trait)}"
 

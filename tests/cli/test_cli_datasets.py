@@ -37,6 +37,14 @@ def test_show_prints_calibration_and_ground_truth(slamhive):
     assert "T_body_sensor  1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1" in shown
 
 
+def test_show_tells_lever_arm_and_uncertainty_of_the_ground_truth(slamhive, tmp_path):
+    path = tmp_path / "data" / "datasets" / "track" / "dataset.yaml"
+    more = "positions_only: true\n  lever_arm_m: [0.1, 0, -0.2]\n  uncertainty_m: 0.01"
+    path.write_text(path.read_text().replace("positions_only: false", more))
+    shown = slamhive("dataset", "show", "track").stdout
+    assert "z axis up, positions only, lever arm 0.1 0 -0.2 m, uncertainty 0.01 m" in shown
+
+
 def test_json_holds_extrinsics_gravity_and_attributes(slamhive):
     shown = json.loads(slamhive("dataset", "show", "track", "--json").stdout)
     assert len(shown["sensors"][0]["T_body_sensor"]) == 16

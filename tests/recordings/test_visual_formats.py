@@ -52,6 +52,14 @@ def test_7_scenes_marks_unknown_depth_with_0(tmp_path):
     assert truth.positions_m[2].tolist() == [2, 2, 3]
 
 
+@pytest.mark.parametrize("option", ["frame_rate_hz", "depth_units_per_m"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_rate_or_scale_that_is_none_is_refused(tmp_path, option, value):
+    source = FORMATS["7-scenes"](tmp_path)
+    with pytest.raises(InvalidInput, match=r"a (frame rate|depth scale) of .* makes no sense; give a number above 0"):
+        plan(source, "7-scenes", **{option: value})
+
+
 def test_7_scenes_leaves_out_unknown_poses_and_says_so(tmp_path):
     source = FORMATS["7-scenes"](tmp_path / "seq-01")
     write(source / "frame-000002.pose.txt", *(["-inf -inf -inf -inf"] * 4))

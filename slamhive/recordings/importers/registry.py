@@ -6,6 +6,7 @@ Importers of other packages come in through the entry-point group ``slamhive.dat
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -133,6 +134,9 @@ def plan_import(source: Path, options: ImportOptions, format_name: str | None = 
         raise InvalidInput(f"{source} does not exist", "give the file or folder of the recording")
     name = format_name or detect_format(source)
     importer = chosen or IMPORTERS.get(name)
+    for label, value in (("frame rate", options.frame_rate_hz), ("depth scale", options.depth_units_per_m)):
+        if value is not None and not 0 < value < math.inf:
+            raise InvalidInput(f"a {label} of {value:g} makes no sense", "give a number above 0, or leave it out")
     unfit = [option for option in options.given if option not in importer.options]
     if unfit:
         takes = ", ".join(sorted(importer.options)) or "none"
