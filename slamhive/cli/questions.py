@@ -13,6 +13,7 @@ from slamhive.cli.context import CliContext, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, tell
 from slamhive.cli.visible import say
 from slamhive.cli.waiting import experiment_to_end
+from slamhive.documents.experiment import all_failed
 from slamhive.domain.names import value_within
 from slamhive.domain.question import ExperimentQuestion, QuestionAnswer
 from slamhive.experiments.file import parse_experiment
@@ -94,11 +95,11 @@ def print_search(found: SearchStanding) -> None:
             entry.label,
             entry.runs,
             entry.failed or None,
-            f"{entry.expected:.4g}",
-            f"{entry.low:.4g}",
-            f"{entry.high:.4g}",
+            all_failed(entry.runs, entry.failed) or _number(entry.expected),
+            _number(entry.low),
+            _number(entry.high),
             f"{entry.failing:.0%}",
-            *(f"{value.expected:.4g}" for value in entry.against.values()),
+            *(_number(value.expected) for value in entry.against.values()),
         )
         for entry in found.candidates
     ]
@@ -116,6 +117,10 @@ def print_search(found: SearchStanding) -> None:
         say(f"next: {found.next}")
 
 
+def _number(value: float | None) -> str | None:
+    return None if value is None else f"{value:.4g}"
+
+
 def print_decision(found: Decision) -> None:
     """Print the candidates, the best first, and the answer."""
     unit = f" {found.unit}" if found.unit else ""
@@ -127,7 +132,7 @@ def print_decision(found: Decision) -> None:
             entry.rounds,
             entry.runs,
             entry.failed or None,
-            None if entry.mean is None else f"{entry.mean:.4g}",
+            all_failed(entry.runs, entry.failed) or _number(entry.mean),
             None
             if entry.difference is None or not entry.difference_within
             else value_within(entry.difference, entry.difference_within),

@@ -262,6 +262,11 @@ class StoredAnalysis(Document):
 # The answer of an experiment that chooses its runs, as JSON.
 
 
+def all_failed(runs: int, failed: int) -> str | None:
+    """``failed: 3 of 3`` for a candidate of which no run was good; None for another. It has no value to show."""
+    return f"failed: {failed} of {runs}" if runs and failed == runs else None
+
+
 class DecisionCandidate(Document):
     """One candidate: a combination of everything but the dataset."""
 
@@ -272,7 +277,8 @@ class DecisionCandidate(Document):
     runs: Annotated[int, described("Runs that have ended and count.")]
     failed: Annotated[int, described("Those of them that failed.")]
     mean: Annotated[
-        float | None, described("Mean over the datasets, failed runs included; null before the first round.")
+        float | None,
+        described("Mean over the datasets, failed runs included; null before the first round, and if all failed."),
     ]
     beaten_by: Annotated[str | None, described("Who is certainly better; null for a candidate that is left.")] = None
     rounds: Annotated[int, described("Rounds until it was beaten, or until now.")] = 0
@@ -305,11 +311,11 @@ class Decision(Document):
 
 
 class ExpectedValue(Document):
-    """A value that a candidate is expected to have, failed runs included."""
+    """A value that a candidate is expected to have, failed runs included; null if all of its runs failed."""
 
-    expected: float
-    low: Annotated[float, described("The smaller end of an interval that holds it with 95 %.")]
-    high: Annotated[float, described("The larger end.")]
+    expected: float | None
+    low: Annotated[float | None, described("The smaller end of an interval that holds it with 95 %.")]
+    high: Annotated[float | None, described("The larger end.")]
 
 
 class SearchedCandidate(Document):
@@ -320,9 +326,11 @@ class SearchedCandidate(Document):
     cells: Annotated[dict[str, int], described("The number of its configuration in the experiment, by dataset.")]
     runs: Annotated[int, described("Runs that have ended and count.")]
     failed: Annotated[int, described("Those of them that failed, or broke a limit.")]
-    expected: Annotated[float, described("Expected typical value, failed runs included.")]
-    low: Annotated[float, described("The smaller end of an interval that holds it with 95 %.")]
-    high: Annotated[float, described("The larger end.")]
+    expected: Annotated[
+        float | None, described("Expected typical value, failed runs included; null if all of its runs failed.")
+    ]
+    low: Annotated[float | None, described("The smaller end of an interval that holds it with 95 %.")]
+    high: Annotated[float | None, described("The larger end.")]
     failing: Annotated[float, described("Expected share of failed runs.")]
     against: Annotated[dict[str, ExpectedValue], described("The same of each further objective.")]
     on_front: Annotated[bool, described("No other candidate is better in all objectives.")]

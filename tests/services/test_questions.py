@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from slamhive.base.errors import Conflict, InvalidInput, NotFound
+from slamhive.cli.questions import print_decision
 from slamhive.documents.plain import ConfigurationStanding
+from slamhive.domain.metrics import metric
 from slamhive.domain.question import CandidateStanding, QuestionAnswer
 from slamhive.domain.run import FailureReason, RunState
 from slamhive.domain.trust import Disturbance, DisturbanceKind, DisturbanceReason
@@ -18,6 +20,7 @@ from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
 from slamhive.services.hive import Hive
 from slamhive.store import RunRecord
+from slamhive.web.presenters import questions
 from tests.services.gate_world import finish
 from tests.web import web_world as world
 
@@ -135,7 +138,7 @@ def test_a_budget_of_time_counts_how_long_runs_took(hive: Hive):
     assert 4 <= found.runs <= 12
 
 
-def test_failed_runs_count_as_worst(hive: Hive):
+def test_failed_runs_count_as_worst_and_nothing_is_shown_as_their_mean(hive: Hive, capsys: pytest.CaptureFixture[str]):
     start(hive)
     play(hive, lambda run: 0.05 if run.parameters["nFeatures"] == 1000 else FailureReason.LOST_TRACKING)
     found = hive.questions.decision("two")
@@ -143,6 +146,12 @@ def test_failed_runs_count_as_worst(hive: Hive):
     failed = found.candidates[1].failed
     assert failed == found.candidates[1].runs > 0
     assert found.notes == (f"nFeatures 2000: {failed} of {failed} runs failed: lost tracking {failed}.",)
+    assert (found.candidates[1].mean, found.candidates[1].difference) == (None, None)
+    row = questions.rows(found, metric(found.metric))[1]
+    assert isinstance(row, questions.CandidateRow)
+    assert (row.mean.text, row.behind) == (f"failed: {failed} of {failed}", "–")
+    print_decision(found)
+    assert f"failed: {failed} of {failed}  " in capsys.readouterr().out
 
 
 def test_runs_on_a_disturbed_machine_are_said(hive: Hive):

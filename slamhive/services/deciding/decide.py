@@ -11,7 +11,7 @@ import numpy as np
 
 from slamhive.analysis.racing import LEAST_ROUNDS, RaceAnswer, RaceRule, RaceState, race
 from slamhive.analysis.statistics import Numbers
-from slamhive.documents.experiment import Decision, DecisionCandidate
+from slamhive.documents.experiment import Decision, DecisionCandidate, all_failed
 from slamhive.domain.metrics import Direction, Metric, described
 from slamhive.domain.names import plural
 from slamhive.domain.question import CandidateStanding, ExperimentQuestion, QuestionAnswer
@@ -193,11 +193,14 @@ def _decision(
                 standing = CandidateStanding.BEST
             pair = next((pair for pair in state.pairs if (pair.first, pair.second) == (place, state.left[0])), None)
             known = pair is not None and math.isfinite(pair.half_width)
+            # The mean of failed runs alone is what a failure counts as, which nobody measured.
+            measured = all_failed(row.runs, row.failed) is None
+            known = known and measured
             row = row.model_copy(
                 update={
                     "standing": standing,
                     "rounds": lane.rounds,
-                    "mean": None if lane.mean is None else entered.sign * lane.mean,
+                    "mean": None if lane.mean is None or not measured else entered.sign * lane.mean,
                     "beaten_by": None if lane.beaten_by is None else entered.racing[lane.beaten_by].label,
                     "difference": entered.sign * pair.value if pair is not None and known else None,
                     "difference_within": pair.half_width if pair is not None and known else None,

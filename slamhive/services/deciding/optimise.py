@@ -27,6 +27,7 @@ from slamhive.documents.experiment import (
     SearchGrowth,
     SearchObjective,
     SearchStanding,
+    all_failed,
 )
 from slamhive.domain.metrics import Direction, described
 from slamhive.domain.names import plural
@@ -535,8 +536,12 @@ def _leading(look: QuestionLook, seen: _Seen) -> list[SearchedCandidate]:
     for place in shown:
         candidate = seen.candidates[place]
         runs = [run for cell in candidate.cells.values() for run in look.results(cell)]
+        failed = sum(_values(run, seen.plan) is None for run in runs)
         expected: list[ExpectedValue] = []
         for column, objective in enumerate(seen.objectives):
+            if objective.key != FAILED and all_failed(len(runs), failed) is not None:
+                expected.append(ExpectedValue(expected=None, low=None, high=None))
+                continue
             score, spread = float(state.scores[place, column]), _TWO_SIDED * float(state.spread[place, column])
             ends = sorted(objective.value(score + side * spread) for side in (-1, 1))
             if objective.key == FAILED:
@@ -548,7 +553,7 @@ def _leading(look: QuestionLook, seen: _Seen) -> list[SearchedCandidate]:
                 values=candidate.values,
                 cells=dict(candidate.cells),
                 runs=len(runs),
-                failed=sum(_values(run, seen.plan) is None for run in runs),
+                failed=failed,
                 **expected[0].model_dump(),
                 failing=float(state.failing[place]),
                 against={

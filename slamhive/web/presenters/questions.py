@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slamhive.documents.experiment import Decision, DecisionCandidate, SearchStanding
+from slamhive.documents.experiment import Decision, DecisionCandidate, SearchedCandidate, SearchStanding, all_failed
 from slamhive.domain.metrics import Metric, described
 from slamhive.domain.names import value_within
 from slamhive.experiments.experiment import FAILED
@@ -104,7 +104,7 @@ def rows(found: Decision | SearchStanding, metric: Metric) -> list[CandidateRow]
                 entry.rounds,
                 thousands(entry.runs),
                 entry.failed,
-                metric_cell(metric, entry.mean),
+                _value(metric, entry.mean, entry),
                 _behind(entry, metric),
                 entry.beaten_by or DASH,
             )
@@ -116,16 +116,26 @@ def rows(found: Decision | SearchStanding, metric: Metric) -> list[CandidateRow]
             entry.label,
             thousands(entry.runs),
             entry.failed,
-            metric_cell(metric, entry.expected),
-            f"{significant(entry.low * factor)} to {significant(entry.high * factor)}",
+            _value(metric, entry.expected, entry),
+            DASH
+            if entry.low is None or entry.high is None
+            else f"{significant(entry.low * factor)} to {significant(entry.high * factor)}",
             f"{entry.failing:.0%}",
             tuple(
-                TableCell(f"{value.expected:.0%}") if key == FAILED else metric_cell(described(key), value.expected)
+                TableCell(f"{value.expected:.0%}")
+                if key == FAILED and value.expected is not None
+                else metric_cell(described(key), value.expected)
                 for key, value in entry.against.items()
             ),
         )
         for entry in found.candidates
     ]
+
+
+def _value(metric: Metric, value: float | None, entry: DecisionCandidate | SearchedCandidate) -> TableCell:
+    """The value of a candidate; ``failed: 3 of 3`` instead if no run of it was good."""
+    failed = all_failed(entry.runs, entry.failed)
+    return metric_cell(metric, value) if failed is None else TableCell(failed, missing=True)
 
 
 def heads(found: SearchStanding) -> list[str]:
