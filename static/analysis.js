@@ -41,7 +41,7 @@
       listed = found.plots;
       list(partOf(listed));
     }
-    verdict.textContent = [found.message, found.remedy].filter(Boolean).join("; ");
+    verdict.textContent = found.message.endsWith(".") && found.remedy ? `${found.message} ${found.remedy[0].toUpperCase()}${found.remedy.slice(1)}` : [found.message, found.remedy].filter(Boolean).join("; ");
     verdict.classList.toggle("bad", !found.ok);
     text.toggleAttribute("aria-invalid", !found.ok);
     number();

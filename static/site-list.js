@@ -32,9 +32,13 @@
       link.textContent = value;
       place.append(link);
     } else if (typeof value === "number") {
-      place.textContent = Number.isInteger(value) ? String(value) : Number(value.toPrecision(3)).toString();
+      place.textContent = Number.isInteger(value) ? String(value) : Math.abs(value) < 1000 ? value.toPrecision(3) : Math.round(value).toLocaleString("en");
       place.title = value;
-    } else place.textContent = value;
+    } else {
+      place.textContent = value;
+      place.className = "clip";
+      place.title = value;
+    }
     if (numeric[index]) place.className = "number";
     return place;
   }
@@ -125,6 +129,7 @@
     const head = document.createElement("th");
     const button = document.createElement("button");
     head.scope = "col";
+    if (numeric[place]) head.className = "number";
     button.type = "button";
     button.textContent = column.unit ? `${column.label} [${column.unit}]` : column.label;
     button.addEventListener("click", () => {

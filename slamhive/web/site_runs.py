@@ -168,12 +168,13 @@ def table_row(run: RunRecord) -> dict[str, Any]:
 def table_script(rows: Sequence[Mapping[str, Any]]) -> str:
     """The list as a script."""
     present = {key for row in rows for key, value in row.items() if value is not None}
-    plain = ("id", "algorithm", "dataset", "outcome", "doubt", "state", "experiment", "parameters", "protocol")
-    columns = [{"key": key, "label": key, "unit": ""} for key in plain if key in present]
-    columns[0]["label"] = "run"
-    columns += [
+    first = ("id", "algorithm", "dataset", "outcome", "doubt")
+    last = ("experiment", "parameters", "protocol", "state")
+    columns = [
         {"key": key, "label": CATALOGUE[key].label, "unit": display_unit(CATALOGUE[key]).unit}
-        for key in _METRICS
+        if key in CATALOGUE
+        else {"key": key, "label": "Run" if key == "id" else key.capitalize(), "unit": ""}
+        for key in (*first, *_METRICS, *last)
         if key in present
     ]
     uses = [row["use"] for row in rows]

@@ -418,19 +418,21 @@ class CataloguePages:
         self._render("algorithm", place, name=name, algorithm=algorithm, shares=_shares(rows, "dataset"))
 
     def _experiment(self, place: Path, name: str, rows: Sequence[Row]) -> None:
-        status, ranked = None, []
+        status, ranked, answer = None, [], None
         if self._whole:
             with suppress(NotFound):  # public runs of an experiment that is not
                 status = self._hive.experiments.status(name)
         if status is not None:
             counts = {axis: len(values) for axis, values in self._hive.experiments.axes(name).items()}
             ranked = rankings.of_experiment(self._hive, status, rankings.naming_axes(counts), by_algorithm=False)
+            answer = self._hive.experiments.answer(name) if ranked else None
         shares = {dataset: _shares(found, "algorithm") for dataset, found in sorted(_by(rows, "dataset").items())}
         self._render(
             "experiment",
             place,
             name=name,
             status=status,
+            answer=answer,
             rankings=ranked,
             title=None if status is None else rankings.title(status),
             columns=rankings.columns(),

@@ -135,6 +135,9 @@ def test_a_ranking_is_of_whole_experiments_only(hive: Hive) -> None:
         world.evaluate_run(hive, run, 0.01 * run)
     page = (published(hive) / "experiments" / f"{experiment.name}.html").read_text()
     assert "<h2>Ranking</h2>" in page
+    answer = hive.experiments.answer(experiment.name)
+    assert f"<h1>{answer.question}</h1>" in page
+    assert page.index(answer.sentence) < page.index("<h2>Ranking</h2>")
     assert f'<a href="../runs/{runs[0]}.html"' in page
     part = published(hive, run_ids=runs[:1])
     page = (part / "experiments" / f"{experiment.name}.html").read_text()

@@ -22,7 +22,8 @@ pytestmark = pytest.mark.integration
 def test_the_page_shows_this_machine_and_what_runs_on_it(shown: Web) -> None:
     assert 'href="/nodes"' in shown.client.get("/").text
     text = shown.client.get("/nodes").text
-    assert f"<td>{platform.node()}</td><td>up</td><td>{describe_host().cpu_model}</td>" in text
+    cpu = f'<td data-label="CPU">{describe_host().cpu_model}</td>'
+    assert f'<td>{platform.node()}</td><td data-label="State">up</td>{cpu}' in text
     assert f'<a href="/runs/{shown.runs["running"]}">' in text
     assert "/nodes/drain" not in text, "this machine cannot be drained"
 
