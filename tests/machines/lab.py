@@ -11,16 +11,21 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+
+import pytest
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 VM = PROJECT_ROOT.parent / "shared" / "machines" / "vm"
 PACKAGES = (
     *("docker.io", "iptables", "uidmap", "slirp4netns", "fuse-overlayfs", "rootlesskit", "podman", "catatonit", "crun"),
     *("mmdebstrap", "apparmor"),
+    *("slurm-wlm", "munge", "nfs-kernel-server", "nfs-common", "nginx-light", "mariadb-server"),
 )
+# Started by the test that wants them.
+SLEEPING = ("slurmd", "slurmctld", "munge", "nfs-server", "nfs-blkmap", "rpcbind", "nginx", "mariadb")
 SOURCES = ("slamhive", "tests/machines", "tools", "algorithms", "docker", "deploy", "templates", "static", "evaluation")
 CONTAINER_TAR = "/home/dev/python.tar"
 DATA = "/home/dev/probe"
@@ -66,6 +71,7 @@ class Lab:
             as_root.append("DEBIAN_FRONTEND=noninteractive")
             _quietly([*as_root, "apt-get", "update"])
             _quietly([*as_root, "apt-get", "install", "-y", "--no-install-recommends", *PACKAGES])
+            _quietly([*as_root, "systemctl", "disable", *SLEEPING])
             _quietly([*as_root, "sh", "-c", _MAKE_TAR])
             project = root / "home/dev/slamhive"
             shutil.rmtree(project, ignore_errors=True)
@@ -87,24 +93,29 @@ class Lab:
         _remove(root)
 
     @contextmanager
-    def machine(self, number: int, kernel: str = "") -> Iterator[Machine]:
+    def machine(
+        self, number: int, kernel: str = "", memory_mb: int = 3072, *, one_session: bool = False
+    ) -> Iterator[Machine]:
         """A new machine, until the end of the block.
 
         Args:
             number: From 1 to 9.
             kernel: More words for the kernel's command line.
+            memory_mb: Of the machine.
+            one_session: Whether all commands of a user are one session, which saves seconds for each.
         """
+        started = {"VM_BASE": str(self.image), "VM_KERNEL": kernel, "VM_MEMORY": str(memory_mb)}
         self._vm("reset", str(number))
         try:
-            self._vm("up", str(number), VM_BASE=str(self.image), VM_KERNEL=kernel)
-            machine = Machine(number, self.folder)
+            self._vm("up", str(number), **started)
+            machine = Machine(number, self.folder, started, one_session=one_session)
             machine.copy_sources()
             yield machine
         finally:
             self._vm("reset", str(number))
 
     def _vm(self, *words: str, **variables: str) -> None:
-        environment = {**os.environ, "VM_LAB": str(self.folder), **variables}
+        environment = {"VM_BOOT_TIMEOUT": "900", **os.environ, "VM_LAB": str(self.folder), **variables}
         subprocess.run(["bash", str(VM), *words], env=environment, check=True, stdout=subprocess.DEVNULL)
 
     def _certificates(self, root: Path) -> None:
@@ -112,6 +123,16 @@ class Lab:
         for file in Path("/usr/local/share/ca-certificates").glob("*.crt"):
             shutil.copy(file, root / "usr/local/share/ca-certificates")
         subprocess.run(["chroot", str(root), "/usr/sbin/update-ca-certificates"], check=True, capture_output=True)
+
+
+def built_lab() -> Lab:
+    """The lab with its image. The test is skipped where there can be none."""
+    reason = absent_because()
+    if reason is not None:
+        pytest.skip(reason)
+    lab = Lab()
+    lab.build()
+    return lab
 
 
 _MAKE_TAR = (
@@ -122,15 +143,40 @@ _MAKE_TAR = (
 
 
 class Machine:
-    """A machine that is up."""
+    """A machine that is up.
 
-    def __init__(self, number: int, folder: Path) -> None:
+    Args:
+        number: From 1 to 9.
+        folder: That of the machines.
+        started: The variables with which it was started, and is started again.
+        one_session: Whether all commands of a user are one session.
+    """
+
+    def __init__(self, number: int, folder: Path, started: Mapping[str, str], *, one_session: bool) -> None:
         self.number = number
-        self._environment = {**os.environ, "VM_LAB": str(folder)}
+        self._folder = folder
+        self._one_session = one_session
+        self._environment = {"VM_BOOT_TIMEOUT": "900", **os.environ, "VM_LAB": str(folder), **started}
+
+    @property
+    def name(self) -> str:
+        """Under which the other machines reach it."""
+        return f"vm{self.number}"
 
     def run(self, command: str, user: str = "dev", timeout_s: float = 900.0, *, check: bool = True) -> str:
         """Run a shell command over ssh; what it prints."""
         words = ["bash", str(VM), "ssh", f"{self.number}@{user}", command]
+        if self._one_session:
+            options = (
+                "StrictHostKeyChecking=no",
+                "UserKnownHostsFile=/dev/null",
+                "LogLevel=ERROR",
+                "ConnectTimeout=60",
+            )
+            shared = ("ControlMaster=auto", "ControlPersist=yes", f"ControlPath={self._folder}/machines/%p-%r")
+            port = int(os.environ.get("VM_PORTS", "2220")) + self.number
+            words = ["ssh", *(f"-o{option}" for option in (*options, *shared)), f"-i{self._folder}/key", f"-p{port}"]
+            words += [f"{user}@127.0.0.1", command]
         ended = subprocess.run(
             words, env=self._environment, capture_output=True, text=True, check=False, timeout=timeout_s
         )
@@ -150,6 +196,54 @@ class Machine:
                 time.sleep(2)
             else:
                 return
+
+    def copy(self, path: Path, to: str) -> None:
+        """Copy a file or folder of this machine, as ``dev``."""
+        words = ["bash", str(VM), "cp", str(self.number), str(path), f":{to}"]
+        subprocess.run(words, env=self._environment, check=True)
+
+    def power_off(self) -> None:
+        """End the machine at once, as a loss of power does."""
+        folder = self._folder / "machines" / str(self.number)
+        os.kill(int((folder / "pid").read_text()), 9)
+        (folder / "pid").unlink()
+
+    def power_on(self) -> None:
+        """Start the machine with the disk that it has."""
+        subprocess.run(
+            ["bash", str(VM), "up", str(self.number)], env=self._environment, check=True, stdout=subprocess.DEVNULL
+        )
+
+    @contextmanager
+    def cut(self) -> Iterator[None]:
+        """Pull the cable of the network between the machines until the end of the block."""
+        self.run("ip link set eth1 down", "root")
+        try:
+            yield
+        finally:
+            self.run("ip link set eth1 up", "root")
+
+    @contextmanager
+    def clock_off_by(self, offset_s: int) -> Iterator[None]:
+        """Have the clock be wrong until the end of the block."""
+        self.run(f"date -s @$(($(date +%s) + {offset_s}))", "root")
+        try:
+            yield
+        finally:
+            self.run(f"date -s @$(($(date +%s) - {offset_s}))", "root")
+
+    @contextmanager
+    def full_disk(self) -> Iterator[None]:
+        """Leave no room on the disk until the end of the block."""
+        self.run(
+            "fallocate -l $(($(stat -f -c '%f * %S' /))) /filler; dd if=/dev/zero of=/filler.rest bs=64K",
+            "root",
+            check=False,
+        )
+        try:
+            yield
+        finally:
+            self.run("rm -f /filler /filler.rest", "root")
 
     def copy_sources(self) -> None:
         """Bring the project in the machine up to date."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.machines.lab import Lab, Machine, absent_because
+from tests.machines.lab import Lab, Machine, built_lab
 from tests.machines.table import CONTEXTS, NUMBER, measure
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "protections.md"
@@ -37,12 +37,7 @@ class Machines:
 
 @pytest.fixture(scope="module")
 def machines() -> Iterator[Machines]:
-    reason = absent_because()
-    if reason is not None:
-        pytest.skip(reason)
-    lab = Lab()
-    lab.build()
-    found = Machines(lab)
+    found = Machines(built_lab())
     yield found
     found.close()
 
