@@ -22,6 +22,7 @@ from slamhive.runtime.messages import to_points
 from slamhive.trajectory.layout import read_tum
 from tests.fuzzing import mutated
 from tests.recordings.format_world import convert, plan, recorded, silent
+from tests.recordings.vrs_files import SHAPE, Glasses
 
 pytestmark = pytest.mark.integration
 START_NS = 1_700_000_000_000_000_000
@@ -259,7 +260,65 @@ def test_without_the_library_it_says_how_to_get_it(tmp_path, monkeypatch):
         plan(tmp_path)
 
 
-# What follows has no recording of Aria's glasses: a program writes what the reader would.
+@pytest.fixture
+def walk(tmp_path):
+    """A recording of glasses that turn and accelerate along sines of time, with what it holds."""
+    times_ns = START_NS + np.arange(200, dtype=np.int64) * 1_000_000
+    since_s = (times_ns - START_NS) / 1e9
+    waves = np.stack([np.sin(20 * (since_s - delay_s)) for delay_s in (0.004, 0.0035)], axis=1)
+    rectify, bias = np.array([[1.01, 0.01, 0], [0, 0.99, 0], [0, 0.02, 1]]), np.array([0.1, -0.2, 0.3])
+    measured = np.concatenate([np.repeat(wave[:, None], 3, axis=1) @ rectify.T + bias for wave in waves.T], axis=1)
+    made = Glasses(
+        image_times_ns=START_NS + 33_000_000 * np.arange(3, dtype=np.int64),
+        images=np.random.default_rng(1).integers(0, 256, (3, *SHAPE), dtype=np.uint8),
+        imu_times_ns=times_ns,
+        samples=measured,
+        fisheye=(240.0, 318.5, 241.0, -0.02, 0.09, -0.06, 0.01),
+        camera_offset_s=0.002,
+        imu_offsets_s=(0.004, 0.0035),
+        rectify=rectify,
+        bias=bias,
+        imu_position_m=(0.01, -0.1, 0.02),
+    )
+    made.write(tmp_path / "walk.vrs")
+    return tmp_path / "walk.vrs", made
+
+
+def test_a_vrs_file_becomes_what_the_glasses_saw_and_felt(walk, outside, tmp_path):
+    source, made = walk
+    dataset = convert(source, tmp_path / "made")
+    camera, imu = dataset.sensors
+    found = CameraIntrinsics.of(camera)
+    assert (found.model, found.height, found.width) == (CameraModel.FISHEYE_KB, *SHAPE)
+    focal_px, *others = made.fisheye
+    assert (found.fx, found.fy, found.cx, found.cy, *found.distortion) == pytest.approx((focal_px, focal_px, *others))
+    assert camera.calibration["time_offset_s"] == pytest.approx(-made.camera_offset_s)
+    assert np.reshape(imu.T_body_sensor, (4, 4))[:3, 3] == pytest.approx(made.imu_position_m)
+    seen = recorded(dataset)
+    assert [message.data.tobytes() for message in seen["/cam0/image_raw"]] == [image.tobytes() for image in made.images]
+    stamps_ns = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in seen["/cam0/image_raw"]]
+    assert stamps_ns == made.image_times_ns.tolist()
+    assert len(seen["/imu"]) > 190
+    for message in seen["/imu"]:
+        since_s = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec - START_NS) / 1e9
+        assert message.angular_velocity.z == pytest.approx(np.sin(20 * since_s), abs=1e-6)
+        assert message.linear_acceleration.x == pytest.approx(np.sin(20 * since_s), abs=1e-4)
+
+
+def test_a_damaged_vrs_file_is_read_or_refused_in_one_line(walk, outside):
+    source, _ = walk
+    whole, refusals = source.read_bytes(), []
+    for cut in (100, 3000, len(whole) // 3):
+        source.write_bytes(whole[:cut] + bytes(64) + whole[cut + 64 :])
+        try:
+            plan(source)
+        except InvalidInput as error:
+            refusals.append(str(error))
+    assert any("walk.vrs" in refusal for refusal in refusals)
+    assert not any("\n" in refusal or "\x1b" in refusal for refusal in refusals)
+
+
+# What follows needs no library: a program writes what the reader would.
 
 RATES_NS = {"cam0": 33_000_000, "imu0": 1_000_000}
 FISHEYE = (240.0, 241.0, 31.0, 23.5, -0.02, 0.09, -0.06, 0.01)
