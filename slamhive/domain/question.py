@@ -64,8 +64,10 @@ class RunBudget:
 
     @property
     def words(self) -> str:
-        """``20 runs``, ``30 min``."""
-        return plural(self.runs, "run") if self.runs is not None else f"{(self.time_s or 0) / 60:.4g} min"
+        """``20 runs``, ``30 min``, ``90 s``, ``2.5 h``."""
+        if self.runs is not None:
+            return plural(self.runs, "run")
+        return time_words(self.time_s or 0.0)
 
     def runs_left(self, spent: int, elapsed_s: float) -> int:
         """Number of further runs that fit, if they take as long as the ``spent`` ones: ``elapsed_s`` together."""
@@ -75,6 +77,13 @@ class RunBudget:
             return MOST_RUNS
         left_s = (self.time_s or 0.0) - elapsed_s
         return max(0, math.floor(left_s / max(elapsed_s / spent, 1e-3)))
+
+
+def time_words(time_s: float) -> str:
+    """``90 s``, ``30 min``, ``2.5 h``."""
+    if time_s < 120:
+        return f"{time_s:.3g} s"
+    return f"{time_s / 60:.4g} min" if time_s < 7200 else f"{time_s / 3600:.4g} h"
 
 
 def read_budget(text: str) -> RunBudget:

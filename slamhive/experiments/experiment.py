@@ -11,12 +11,12 @@ from typing import Any
 from slamhive.base.errors import InvalidInput
 from slamhive.base.strict_yaml import YamlPlace
 from slamhive.documents.limits import OPTION_NAMES, Limits, StopWhen
-from slamhive.domain.configuration import PlaybackMode
+from slamhive.domain.configuration import CLIP, PlaybackMode
 from slamhive.domain.gate import Margin
 from slamhive.domain.names import plain, plural
 from slamhive.domain.parameters import Value
 from slamhive.domain.protocol import Alignment, Protocol, ProtocolRequest, TrajectoryKind
-from slamhive.domain.question import ExperimentQuestion, RunBudget, SearchSampler
+from slamhive.domain.question import ExperimentQuestion, RunBudget, SearchSampler, time_words
 from slamhive.experiments.condition import CombinationCondition
 
 
@@ -397,8 +397,13 @@ def candidates_of(cells: Iterable[tuple[int, Mapping[str, Value]]]) -> tuple[Exp
     )
 
 
-def check_candidates(experiment: Experiment, candidates: Iterable[ExperimentCandidate]) -> None:
-    """Raise InvalidInput, naming the place, unless the plan of ``experiment`` can be followed with these candidates."""
+def check_candidates(
+    experiment: Experiment, candidates: Iterable[ExperimentCandidate], recordings_s: Mapping[str, float]
+) -> None:
+    """Raise InvalidInput, naming the place, unless the plan of ``experiment`` can be followed with these candidates.
+
+    ``recordings_s``: how long the recordings take, by dataset.
+    """
     plan = experiment.plan
     if plan is None:
         return
@@ -419,12 +424,26 @@ def check_candidates(experiment: Experiment, candidates: Iterable[ExperimentCand
     least, each = 2 * len(found) * len(datasets), "2 runs of each"
     if experiment.optimise is not None:
         least, each = min(LEAST_SEARCH_RUNS, len(found)), "the first runs"
+    too_small = (
+        f"{plan.place}: the budget of {plan.budget.words} is too small for one look: {each} of {len(found)} candidates "
+        f"on {plural(len(datasets), 'dataset')}"
+    )
+    remedy = "raise it, or compare fewer"
     if plan.budget.runs is not None and plan.budget.runs < least:
-        raise InvalidInput(
-            f"{plan.place}: the budget of {plan.budget.words} is too small for one look: {each} of "
-            f"{len(found)} candidates on {plural(len(datasets), 'dataset')} are {least}",
-            "raise it, or compare fewer",
-        )
+        raise InvalidInput(f"{too_small} are {least}", remedy)
+    # Where recordings are played in real time and as a whole, a run that does not fail takes as long.
+    played = experiment.playback.modes == (PlaybackMode.REALTIME,) and experiment.stop_when == StopWhen()
+    clipped = any(step.kind == CLIP for step in experiment.steps)
+    if plan.budget.time_s is None or clipped or not played:
+        return
+    of_one_s = [recordings_s[dataset] / max(experiment.playback.rates) for dataset in datasets]
+    least_s = 2 * len(found) * sum(of_one_s)
+    if experiment.optimise is not None:
+        first_look = experiment.optimise.first_look
+        # At least two of the first looks are followed by runs on the whole.
+        least_s = least * min(of_one_s) if first_look is None else min(least, 2 / first_look.keep) * first_look.seconds
+    if plan.budget.time_s < least_s:
+        raise InvalidInput(f"{too_small} take {time_words(least_s)} or more", remedy)
 
 
 def _label(values: Mapping[str, Value], told: Iterable[str]) -> str:

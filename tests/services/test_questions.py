@@ -131,7 +131,7 @@ def test_a_spent_budget_leaves_it_undecided(hive: Hive):
 
 
 def test_a_budget_of_time_counts_how_long_runs_took(hive: Hive):
-    start(hive, TWO.replace("80 runs", "20 s"))  # four runs of a few seconds each
+    start(hive, TWO.replace("80 runs", "20 s") + "playback: {mode: sequential}\n")  # four runs of a few seconds each
     play(hive, noisy({1000: 0.05, 2000: 0.05}))
     found = hive.questions.decision("two")
     assert found.answer is QuestionAnswer.UNDECIDED
@@ -299,6 +299,10 @@ def test_an_experiment_without_a_question_has_no_decision(hive: Hive):
     ("text", "problem"),
     [
         (TWO.replace("80 runs", "3 runs"), "budget of 3 runs is too small for one look: .* are 4"),
+        (
+            TWO.replace("80 runs", "2 min"),
+            "2 runs of each of 2 candidates on 1 dataset take 2.667 min or more; raise it",
+        ),
         (TWO.replace("1000 | 2000", "1000"), "nothing to choose: eye-slam-stereo is the only candidate"),
         (TWO.replace("1 cm", "1 kg"), "'1 kg' is no value of ate.rmse; write a number and one of mm, cm, m, km"),
         (TWO.replace("1 cm", "0"), "'?0.*'? is no difference"),

@@ -96,7 +96,9 @@ def test_a_search_ends_near_the_best_with_few_runs(hive: Hive):
     assert found.gap is not None
     assert found.gap <= 0.1
     assert found.words == hive.experiments.status("many").conclusion
-    assert found.words.startswith(f"After {found.runs} runs of 72, nFeatures 1500, scale 1.3, solver lm is within")
+    assert found.words.startswith(
+        f"After {found.runs} runs of 72 combinations, nFeatures 1500, scale 1.3, solver lm is within"
+    )
     assert found.words.endswith("m.")
     assert {entry.axis for entry in found.importance} == {"nFeatures", "scale", "solver"}
 
@@ -174,7 +176,7 @@ def test_the_answer_of_several_objectives_names_the_ends_of_the_front(hive: Hive
     assert any(label in next_ones for label in untried)
     found = searched(hive, very_noisy)
     assert found.answer is QuestionAnswer.UNDECIDED
-    assert found.words.startswith("After 30 runs of 72, ")
+    assert found.words.startswith("After 30 runs of 72 combinations, ")
     assert ("best trade-offs of ATE RMSE against CPU mean and failed runs" in found.words) or (
         "is the best in everything" in found.words
     )
@@ -286,14 +288,14 @@ def test_first_looks_leave_time_for_the_runs_that_follow_them(hive: Hive):
 
 
 def test_a_budget_of_time_asks_for_few_runs_before_one_has_ended(hive: Hive):
-    start(hive, MANY.replace("90 runs", "30 s"))
+    start(hive, MANY.replace("90 runs", "30 s") + "playback: {mode: sequential}\n")
     assert hive.questions.advance("many") == 4
     end(hive, noisy, "many")
     found = searched(hive, noisy)
     assert found.runs < 24
     assert (
         found.words
-        == f"Undecided: the budget of 0.5 min had room for {found.runs} runs, and 24 are needed to say anything."
+        == f"Undecided: the budget of 30 s had room for {found.runs} runs, and 24 are needed to say anything."
     )
 
 
@@ -336,6 +338,14 @@ def test_a_metric_where_more_is_better_is_searched_upwards(hive: Hive):
         (
             MANY.replace("90 runs", "9 runs"),
             "budget of 9 runs is too small for one look: the first runs of 72 .* are 24",
+        ),
+        (
+            MANY.replace("90 runs", "10 min"),
+            "budget of 10 min is too small for one look: the first runs of 72 .* take 16 min or more; raise it",
+        ),
+        (
+            MANY.replace("90 runs", "30 s, first_look: 10 s"),
+            "budget of 30 s is too small for one look: the first runs of 72 .* take 60.6 s or more",
         ),
         (MANY.replace("10%", "10 m"), "many.yaml line 5: '10 m' is no share; write 5%, or 0.05"),
         (MANY.replace("within: 10%", "limits: [cpu.mean = 2]"), "'cpu.mean = 2' is no limit"),

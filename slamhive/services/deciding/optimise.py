@@ -413,9 +413,9 @@ def _sentence(look: QuestionLook, seen: _Seen, state: SearchState) -> str:
     plan, first = seen.plan, seen.objectives[0]
     share = f"{100 * seen.share(state.gap):.2g} %"
     confidence = f"at {100 * plan.confidence:.4g} % confidence"
-    spent = f"After {look.asked - look.looked} runs of {look.combinations}"
+    spent = f"After {look.asked - look.looked} runs of {look.combinations} combinations"
     if plan.first_look is not None:
-        spent += f" combinations and {plural(look.looked, 'first look')}"
+        spent += f" and {plural(look.looked, 'first look')}"
     ends = {state.front[0]: None} | {
         min(state.front, key=lambda place: float(state.scores[place, column])): None
         for column in range(1, len(seen.objectives))

@@ -360,7 +360,8 @@ def check_question(context: ExperimentContext, experiment: Experiment, expansion
     plan = experiment.plan
     if plan is None:
         return
-    check_candidates(experiment, planned_candidates(context, experiment))
+    recordings_s = {dataset.name: dataset.duration_s for _, dataset in expansion.pairs}
+    check_candidates(experiment, planned_candidates(context, experiment), recordings_s)
     if experiment.optimise is not None and experiment.optimise.sampler is not SearchSampler.MODEL:
         from slamhive.analysis.optuna_sampling import check_sampler  # noqa: PLC0415 - loads numpy
 
