@@ -126,6 +126,19 @@ def test_a_run_that_breaks_a_limit_counts_as_failed(hive: Hive):
     assert found.words.startswith("Undecided: no run kept cpu.mean <= 0.1 cores; the nearest is nFeatures")
 
 
+def test_a_limit_that_one_run_kept_is_told_with_the_nearest_of_the_others(hive: Hive):
+    start(
+        hive, MANY.replace("within: 10%", 'within: 10%, limits: ["ate.per_path <= 0.1"]').replace("90 runs", "24 runs")
+    )
+    hive.questions.advance("many")
+    lucky, *_ = hive.experiments.unfinished("many")
+    end(hive, lambda run: 0.04 if run.id == lucky else 0.06 + run.id / 1000, "many")
+    words = searched(hive).words
+    assert words.startswith(
+        "Undecided: only 1 of 24 runs kept ate.per_path <= 0.1 %; the nearest of the others is nFeatures"
+    )
+
+
 def test_an_objective_that_no_run_reports_ends_it_after_the_first_runs(hive: Hive):
     start(hive, MANY.replace("within: 10%", "within: 10%, against: gpu.memory_max"))
     found = searched(hive)

@@ -440,7 +440,7 @@ def _told(seen: _Seen, state: SearchState, place: int) -> list[str]:
 
 
 def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
-    """Why there is no best one, with the nearest to a limit that no run kept."""
+    """Why there is no best one, with the nearest to a limit that no run kept, or only one."""
     plan = seen.plan
     for limit in plan.limits:
         values = [
@@ -449,12 +449,14 @@ def _nothing_good(look: QuestionLook, seen: _Seen) -> str:
             for run in look.of(candidate)
             if run.use is RunUse.GOOD and limit.metric in run.metrics
         ]
-        if values and all(limit.broken_by(value) for value, _ in values):
-            nearest, label = min(values) if limit.at_most else max(values)
+        broken = [entry for entry in values if limit.broken_by(entry[0])]
+        if broken and len(values) - len(broken) < 2:
+            nearest, label = min(broken) if limit.at_most else max(broken)
             sign, unit = "<=" if limit.at_most else ">=", described(limit.metric).unit
+            kept = f"only 1 of {plural(len(values), 'run')}" if len(values) > len(broken) else "no run"
             return (
-                f"Undecided: no run kept {limit.metric} {sign} {limit.value:.4g} {unit}; the nearest is {label} with "
-                f"{nearest:.4g}."
+                f"Undecided: {kept} kept {limit.metric} {sign} {limit.value:.4g} {unit}; the nearest"
+                f"{' of the others' if len(values) > len(broken) else ''} is {label} with {nearest:.4g}."
             )
     made = plural(look.asked - look.looked, "run")
     if plan.budget.time_s is not None and len(seen.scores) < seen.least:
