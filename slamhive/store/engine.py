@@ -141,6 +141,11 @@ def sqlite_file(url: URL) -> Path:
     return Path(url.database or "").absolute()
 
 
+def log_of(engine: Engine) -> Path | None:
+    """The write-ahead log of an SQLite database, which every commit changes; None for a database server."""
+    return Path(f"{sqlite_file(engine.url)}-wal") if engine.dialect.name == "sqlite" else None
+
+
 def _checked(database_url: str) -> URL:
     try:
         url = make_url(database_url)

@@ -11,13 +11,13 @@ from typing import TypeVar
 from sqlalchemy import Engine, create_engine
 from sqlalchemy.exc import DBAPIError
 
-from slamhive.base.clock import SYSTEM_CLOCK, Clock
+from slamhive.base.clock import SYSTEM_CLOCK, Clock, monotonic_s
 from slamhive.base.errors import NotFound, SlamHiveError
 from slamhive.domain.accounts import NO_SHARING, Sharing, Viewer, Visibility
 from slamhive.store import engine, migrate
 from slamhive.store.accounts import AuditAct
 from slamhive.store.changes import CHANGES_KEY, MAKER_KEY, Changes, Listener
-from slamhive.store.engine import database_label, make_engine, writing
+from slamhive.store.engine import database_label, log_of, make_engine, writing
 from slamhive.store.sight import restrict
 from slamhive.store.transaction import Snapshot, Transaction, explained, gave_up, is_transient, short
 
@@ -26,6 +26,8 @@ logger = logging.getLogger(__name__)
 
 FIRST_PAUSE_S = 0.05
 LONGEST_PAUSE_S = 2.0
+LOOK_EVERY_S = 0.05
+"""So often a waiting worker looks at the log of SQLite: one system call, so that a second of looking takes 2 ms."""
 WRITES_BETWEEN_LOOKS = 500
 """A writer checks after so many transactions whether the tables have grown, see :mod:`slamhive.store.engine`."""
 
@@ -45,6 +47,7 @@ class Store:
     def __init__(self, engine: Engine, retry_s: float = 60.0, clock: Clock = SYSTEM_CLOCK) -> None:
         self.engine = engine
         self._writing = writing(engine)
+        self._log = log_of(engine)
         self._retry_s = retry_s
         self._clock = clock
         self._written = 0
@@ -111,6 +114,29 @@ class Store:
         if self._written % WRITES_BETWEEN_LOOKS == 0:
             self.refresh_if_grown()
         return result
+
+    def stamp(self) -> tuple[int, int] | None:
+        """Size and time of what every commit changes; None if the database is a server, which tells nobody."""
+        if self._log is None:
+            return None
+        try:
+            found = self._log.stat()
+        except OSError:  # nobody has written yet
+            return 0, 0
+        return found.st_size, found.st_mtime_ns
+
+    def wait_for_commit(self, since: tuple[int, int], ended: threading.Event, longest_s: float) -> None:
+        """Wait until somebody commits, ``ended`` is set, or time is up; a commit may rarely go unnoticed.
+
+        Args:
+            since: The stamp before the caller looked for the last time, so that nothing in between is missed.
+            ended: Ends the waiting.
+            longest_s: How long to wait at most.
+        """
+        until_s = monotonic_s() + longest_s
+        while self.stamp() == since and (left_s := until_s - monotonic_s()) > 0:
+            if ended.wait(min(LOOK_EVERY_S, left_s)):
+                return
 
     @contextmanager
     def acting(self, act: AuditAct, visibility: Visibility | None = None) -> Iterator[None]:

@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 from slamhive.executors.docker import containers, engine
-from slamhive.executors.docker.engine import OWNER_LABEL, labels_of_helper
+from slamhive.executors.docker.engine import OWNER_LABEL, labels_of_helper, traits_of
 from slamhive.executors.docker.executor import DockerExecutor
 from slamhive.executors.host import worker_identity
 from slamhive.executors.process.environment import KEY_VARIABLE, shim_spec_of
@@ -77,7 +77,7 @@ def test_a_container_that_an_earlier_boot_has_started_is_lost(bench, monkeypatch
 def test_a_container_that_its_engine_has_forgotten_to_have_started_is_not_started_again(bench):
     """The engine was killed after the algorithm began, and before it saved that."""
     spec = bench.spec("")
-    container = bench.executor._containers.create(spec)
+    container = bench.executor._containers.create(spec, traits_of(bench.executor._engine()))
     (bench.result(spec) / "trace").touch()
     handle = bench.start_spec(spec)
     status = bench.executor.poll(handle)
@@ -91,7 +91,7 @@ def test_a_container_that_an_earlier_boot_has_created_is_made_again(bench, monke
     """What starts in this boot must not look as if it had started in the earlier one."""
     spec = bench.spec("")
     monkeypatch.setattr(engine, "boot_id", lambda: "6fe5b37a")
-    created = bench.executor._containers.create(spec)
+    created = bench.executor._containers.create(spec, traits_of(bench.executor._engine()))
     monkeypatch.undo()
     handle = bench.start_spec(spec)
     bench.handles.append(handle)
@@ -154,7 +154,7 @@ def test_created_container_is_started_by_the_next_start(bench):
     executor = bench.executor
     assert isinstance(executor, DockerExecutor)
     spec = bench.spec(SLEEP)
-    container = executor._containers.create(spec)
+    container = executor._containers.create(spec, traits_of(executor._engine()))
     handle = bench.again().start(spec)
     bench.handles.append(handle)
     assert handle.data["container"] == container.id

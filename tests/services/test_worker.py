@@ -74,6 +74,29 @@ def test_a_good_run_goes_through_all_states(hive):
     assert hive.runs.log(run.id) == "hello\n"
 
 
+def test_an_idle_worker_begins_when_a_run_is_submitted(hive, monkeypatch):
+    monkeypatch.setattr(worker_module, "LONGEST_IDLE_PAUSE_S", 10 * PATIENCE_S)
+    executor = FakeExecutor([Exited(0)], write_trajectory(3))
+    worker = hive.worker()
+    idle = threading.Event()
+    wait = hive.store.wait_for_commit
+
+    def noted(*arguments: Any) -> None:
+        idle.set()
+        wait(*arguments)
+
+    monkeypatch.setattr(hive.store, "wait_for_commit", noted)
+    thread = threading.Thread(target=worker.run)
+    thread.start()
+    try:
+        assert idle.wait(PATIENCE_S)
+        run_id = submit(hive, executor)
+        eventually(lambda: hive.runs.get(run_id).state is RunState.SUCCEEDED)
+    finally:
+        worker.stop()
+        thread.join()
+
+
 def test_each_trajectory_that_a_run_leaves_is_to_be_evaluated(hive):
     path = hive.catalogue.project_root / "algorithms" / "tiny" / "algorithm.yaml"
     role = "    trajectory_role: points"

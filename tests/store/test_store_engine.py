@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import sqlite3
+import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,7 +21,9 @@ from slamhive.base.errors import InvalidInput, NotFound, SlamHiveError, Unavaila
 from slamhive.store import Store, Transaction, open_store
 from slamhive.store.engine import database_label, make_engine
 from tests import durability
+from tests.store.conftest import NOW
 from tests.store.store_samples import Samples
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.quick
 
@@ -167,6 +171,24 @@ def test_a_reader_does_not_wait_for_a_writer(sqlite_path: Path, clock: ManualClo
     assert clock.pauses == []
     writer.close()
     store.close()
+
+
+def test_a_commit_ends_the_waiting_and_reading_does_not(sqlite_path: Path) -> None:
+    ours, other = open_store(f"sqlite:///{sqlite_path}"), open_store(f"sqlite:///{sqlite_path}")
+    for store in (ours, other):
+        store.read(lambda t: t.searches.total())
+    before, never = ours.stamp(), threading.Event()
+    assert before is not None
+    other.read(lambda t: t.searches.total())
+    ours.wait_for_commit(before, never, 0.01)
+    assert ours.stamp() == before
+    Samples(other, NOW).configuration()
+    assert ours.stamp() != before
+    began_s = time.monotonic()
+    ours.wait_for_commit(before, never, PATIENCE_S)
+    assert time.monotonic() - began_s < PATIENCE_S
+    ours.close()
+    other.close()
 
 
 def test_a_locked_database_is_tried_again_and_one_line_is_logged(

@@ -134,8 +134,11 @@ class RunContainers:
             except docker.errors.NotFound:
                 return None
 
-    def create(self, spec: RunSpec) -> Any:
-        """Create the container of a run, or find the one that somebody else creates meanwhile. Raises StartFailed."""
+    def create(self, spec: RunSpec, traits: EngineTraits) -> Any:
+        """Create the container of a run, or find the one that somebody else creates meanwhile. Raises StartFailed.
+
+        ``traits``: of the engine.
+        """
         scratch = scratch_folder(spec)
         try:
             scratch.mkdir(parents=True, exist_ok=True)
@@ -146,7 +149,7 @@ class RunContainers:
         while True:
             with engine_errors(f"starting run {spec.run_id}", StartFailed):
                 try:
-                    options = container_options(spec, self._context, traits_of(self._engine()))
+                    options = container_options(spec, self._context, traits)
                     options["labels"] |= boot_labels()
                     return self._engine().containers.create(**options)
                 except docker.errors.ImageNotFound:

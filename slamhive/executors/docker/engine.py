@@ -67,6 +67,12 @@ class EngineTraits:
     rootless: bool = False
     limits_cpu: bool = True
 
+    @classmethod
+    def of(cls, information: Mapping[str, Any]) -> EngineTraits:
+        """The traits of an engine that reports this of itself (:func:`information_of`)."""
+        options = information.get("SecurityOptions") or []
+        return cls("name=rootless" in options, bool(information.get("CpuCfsQuota", True)))
+
 
 PLAIN_ENGINE = EngineTraits()
 """An engine that root runs, on a kernel with all controllers."""
@@ -74,9 +80,7 @@ PLAIN_ENGINE = EngineTraits()
 
 def traits_of(client: docker.DockerClient) -> EngineTraits:
     """Ask the engine what it is. Raises EngineUnavailable."""
-    info = information_of(client)
-    options = info.get("SecurityOptions") or []
-    return EngineTraits("name=rootless" in options, bool(info.get("CpuCfsQuota", True)))
+    return EngineTraits.of(information_of(client))
 
 
 def information_of(client: docker.DockerClient) -> dict[str, Any]:

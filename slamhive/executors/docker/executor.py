@@ -43,6 +43,7 @@ from slamhive.executors.docker.containers import (
 from slamhive.executors.docker.engine import (
     GPU_LABEL,
     KEY_LABEL,
+    EngineTraits,
     connect,
     container_name,
     engine_errors,
@@ -68,7 +69,7 @@ from slamhive.executors.docker.images import (
 )
 from slamhive.executors.gpu import GpuUse, gpu_use, in_container, list_gpus
 from slamhive.executors.spec import Limit, RunSpec
-from slamhive.executors.status import Exited, Gone, Protections, RunHandle, Running, RunStatus, UsageSource
+from slamhive.executors.status import Exited, Gone, RunHandle, Running, RunStatus, UsageSource
 
 # CPU and memory of a container from the engine's statistics, where its control group is on another machine.
 
@@ -143,9 +144,10 @@ class DockerExecutor(Executor):
 
     def examine(self) -> list[ProtectionFinding]:
         """Return how the engine's kernel enforces limits."""
-        found = self._protections()
+        information = information_of(self._engine())
+        found = engine_protections(information)
         lacks = "not enforced" in found.text
-        remedy = DELEGATE if lacks and traits_of(self._engine()).rootless else None
+        remedy = DELEGATE if lacks and EngineTraits.of(information).rootless else None
         return [ProtectionFinding("protections", found.text, remedy)]
 
     def identity(self, package: AlgorithmPackage) -> str | None:
@@ -189,25 +191,25 @@ class DockerExecutor(Executor):
 
     def start(self, spec: RunSpec) -> RunHandle:
         """Create and start the run's container, or find it in whatever state it is."""
-        container = self._containers.find(container_name(spec.key)) or self._containers.create(spec)
+        information = information_of(self._engine())  # asked once: it takes an engine tens of milliseconds
+        traits = EngineTraits.of(information)
+        container = self._containers.find(container_name(spec.key)) or self._containers.create(spec, traits)
         if container.labels.get(KEY_LABEL) != spec.key:
             raise StartFailed(f"container {container.name} belongs to another run", f"docker rm {container.name}")
-        rootless = traits_of(self._engine()).rootless
-        open_to_user(spec, rootless=rootless)
+        open_to_user(spec, rootless=traits.rootless)
         if container.status == "created":
             if is_of_earlier_boot(container):
                 self._containers.remove(str(container.id))
-                container = self._containers.create(spec)
+                container = self._containers.create(spec, traits)
             self._containers.start(container, spec)
         data = {"container": str(container.id), "key": spec.key}
         started = self._containers.find(data["container"])
         started_at = None if started is None else engine_time(started.attrs["State"].get("StartedAt"))
         if started_at is not None:
             data["started_at"] = started_at.isoformat()
-        found = self._protections()
-        return RunHandle(
-            self.name, data, replace(found, held_by=f"{found.held_by}; {in_words(spec.user, rootless=rootless)}")
-        )
+        found = engine_protections(information)
+        user = in_words(spec.user, rootless=traits.rootless)
+        return RunHandle(self.name, data, replace(found, held_by=f"{found.held_by}; {user}"))
 
     def poll(self, handle: RunHandle) -> RunStatus:
         """The state that the engine reports."""
@@ -316,10 +318,6 @@ class DockerExecutor(Executor):
 
     def _kept_name(self, package: str, number: int) -> str:
         return kept_name(package, number, self._context.installation)
-
-    def _protections(self) -> Protections:
-        with engine_errors("asking the Docker engine", EngineUnavailable):
-            return engine_protections(information_of(self._engine()))
 
     def _engine(self) -> docker.DockerClient:
         with self._lock:

@@ -45,6 +45,9 @@ from slamhive.store.records import LeaseLost, RunRecord
 logger = logging.getLogger(__name__)
 
 IDLE_PAUSE_S = 0.25
+"""Between two looks for work in a database server."""
+LONGEST_IDLE_PAUSE_S = 3.0
+"""The same in an SQLite file, if nobody writes to it: a look takes 4 ms of CPU time, and a commit ends the pause."""
 TROUBLE_PAUSE_S = 5.0
 CANCEL_CHECK_S = 0.5
 EVALUATION_INTERVAL_S = 30.0
@@ -157,6 +160,7 @@ class Worker:
             os.sched_setaffinity(0, cores)
         turns = Turns()
         while not self._stopping.is_set():
+            seen = self._store.stamp()
             try:
                 away = (*self._absent.names(), *self._one_at_a_time.busy())
                 busy = self._work_once(cores, turns, away)
@@ -175,7 +179,10 @@ class Worker:
                 skipped = bool(away) and self._store.read(lambda t: t.queue.waits(self._only))
                 if not skipped:
                     return
-            self._stopping.wait(IDLE_PAUSE_S)
+            if seen is None:
+                self._stopping.wait(IDLE_PAUSE_S)
+            else:
+                self._store.wait_for_commit(seen, self._stopping, LONGEST_IDLE_PAUSE_S)
 
     def _work_once(self, cores: tuple[int, ...] | None, turns: Turns, away: Collection[str]) -> bool:
         """Do one run whose executor is not ``away``, or one batch of evaluations; returns whether there was one."""
