@@ -155,8 +155,9 @@ class RunComparison:
     """Runs side by side under one protocol; ``protocol`` is None if none of them is evaluated.
 
     ``unmarked`` says in which metrics the runs are not comparable, so that none is marked as better. Differences count
-    from the column at the place ``baseline``. ``mixed`` is there if runs lack the protocol and have
-    another one. ``sentences`` say how each group of repeats stands to the baseline; none for single runs.
+    from the column at the place ``baseline``. ``mixed`` is there if runs lack the protocol and have another one, or if
+    live and final trajectories were judged. ``sentences`` say how each group of repeats stands to the baseline; none
+    for single runs.
     """
 
     columns: tuple[RunColumn, ...]
@@ -555,7 +556,8 @@ class RunComparisons:
         shown = {run: {**values[run].get(None, {}), **found} for run, found in evaluated.items()}
         judged = {run: shown[run] if found else {} for run, found in evaluated.items()}
         columns = _columns(runs, judged, grouped=grouped)
-        unmarked = unmarked_parts(runs, mixed_trajectories=bool(mixed_trajectories(runs, chosen)))
+        kinds = mixed_trajectories(runs, chosen)
+        unmarked = unmarked_parts(runs, mixed_trajectories=bool(kinds))
         settings: list[list[dict[str, str]]] = []
         for column in columns:
             folders = [RunFolder(self._runs_folder / str(run.id)) for run in column.runs]
@@ -572,7 +574,7 @@ class RunComparisons:
             metrics=metric_lines(columns, shown, unmarked),
             unmarked=unmarked,
             baseline=place,
-            mixed=mixed if chosen is not None and chosen.lacking else None,
+            mixed=mixed if chosen is not None and (chosen.lacking or kinds) else None,
             sentences=group_sentences(columns, shown, chosen, place) if comparable and chosen is not None else (),
         )
 

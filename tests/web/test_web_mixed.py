@@ -226,6 +226,23 @@ def test_the_page_of_an_experiment_of_any_size_has_the_banner_whose_button_comes
     assert banner(web, address) == ""
 
 
+def test_a_comparison_of_live_and_final_trajectories_offers_the_live_ones_of_all(web: Web) -> None:
+    """It named the kinds, but had no button: both runs have the protocol that is shown."""
+    live, done, other = of_live(PROTOCOL), web.runs["done"], web.runs["bare"]
+    world.evaluate_run(web.hive, other)
+    world.set_trajectory(web.hive, [done], TrajectoryKind.LIVE)
+    world.set_trajectory(web.hive, [other], TrajectoryKind.FINAL)
+    world.evaluate_run(web.hive, done, protocol=live)
+    web.hive.current_protocols.use([done], PROTOCOL.fingerprint)
+    text = banner(web, f"/compare?runs={done},{other}")
+    assert "1 run uses the final trajectory, 1 the live trajectory: not comparable." in text
+    assert f"final of run {other}; live of run {done}." in text
+    assert press(web, text) == f"/compare?runs={done},{other}"
+    assert {entry.run_id: entry.protocol for entry in web.hive.evaluations.waiting()} == {other: live}
+    world.evaluate_run(web.hive, other, protocol=live)
+    assert banner(web, f"/compare?runs={done},{other}") == ""
+
+
 @pytest.mark.integration
 def test_a_report_says_it_on_its_page_in_its_file_and_on_the_command_line(web: Web, tmp_path: Path) -> None:
     mono, stereo = mix(web)
