@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import random
 import resource
 import zipfile
@@ -13,8 +14,10 @@ import numpy as np
 import pytest
 
 from slamhive.analysis.analysis_file import parse_analysis
+from slamhive.base.bounds import read_record
 from slamhive.base.errors import SlamHiveError
 from slamhive.base.settings_sources import describe, load_settings
+from slamhive.documents.catalogue import TruthTrialDocument
 from slamhive.domain.sensors import SensorSetup
 from slamhive.evaluation.evaluators.consistency import read_covariances
 from slamhive.evaluation.evaluators.map_quality import read_pcd
@@ -45,7 +48,7 @@ from slamhive.services.stored_analyses.stored import AnalysisFolder
 from slamhive.store import RunRecord
 from slamhive.trajectory.kitti import read_kitti
 from slamhive.trajectory.layout import read_tum
-from slamhive.trajectory.pose_file import TrajectoryFormat
+from slamhive.trajectory.pose_file import TrajectoryFormat, read_image_times
 from tests.analysis.test_paper_file import NUMBERS, PAPER
 from tests.fuzzing import NASTY_TEXTS, mutated
 from tests.services.archive_world import PROTOCOL, make_runs, rewritten, sealed
@@ -108,6 +111,23 @@ RELATIONS = "100 101 0.1 0 0 0 0 0\n101 102.5 0.2 0.1 0 0 0 0\n"
 FILTER = "id > 0 and state in (failed, succeeded) and ate.rmse < 0.5 m"
 _COVARIANCE = "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1"
 COVARIANCES = "# orientation: body\n" + "".join(f"{100 + k} {_COVARIANCE}\n" for k in range(10))
+IMAGES = "# timestamp filename\n" + "".join(f"{100 + k / 10} rgb/{k}.png\n" for k in range(30))
+TRIAL = json.dumps(
+    {
+        "dataset": "track", "files": "0" * 64, "version": 1, "systems": ["a", "b", "c"],
+        "runs": {"a": 1, "b": 2, "c": 3},
+        "left_out": {"d": "it has no poses"}, "fewest": 3, "why_not": "", "judged_share": 0.9, "start_s": 100.0,
+        "stretches": [
+            {
+                "begin_s": 101.0, "end_s": 102.5, "rms_m": 0.05, "max_m": 0.1, "agreeing": ["a", "b", "c"],
+                "differing": [], "ratio": 5.0, "blame": "truth", "because": "it jumps", "confidence": "high",
+            }
+        ],
+        "constants": [{"kind": "lever_arm", "values": [0.1, 0, 0], "sigmas": [0.01] * 3, "agreeing": ["a", "b"]}],
+        "leave_out_s": [101.0, 102.5], "times_s": [0.0, 0.5], "residuals_m": {"a": [0.01, None]},
+        "common_m": [0.0, None],
+    }
+)  # fmt: skip
 CONFIG = """\
 slam-hive-algorithm: tiny
 slam-hive-dataset: track
@@ -319,6 +339,8 @@ FORMATS: dict[str, tuple[bytes | Callable[[Hive], bytes], Reader]] = {
         written(f, "p.txt", d), written(f, "t.txt", "".join(f"{k}\n" for k in range(30)).encode()))),
     "KITTI import": (KITTI.encode(), import_as(TrajectoryFormat.KITTI)),
     "EuRoC import": (EUROC.encode(), import_as(TrajectoryFormat.EUROC)),
+    "image times": (IMAGES.encode(), lambda _, f, d: read_image_times(written(f, "rgb.txt", d), (100.0, 103.0))),
+    "trial.json": (TRIAL.encode(), lambda _, f, d: TruthTrialDocument.read(read_record(written(f, "trial.json", d)))),
     "relations": (RELATIONS.encode(), lambda _, f, d: read_relations(written(f, "r.txt", d))),
     "covariances": (COVARIANCES.encode(), lambda _, f, d: read_covariances(written(f, "c.txt", d))),
     "import table": (TABLE.encode(), read_table),
