@@ -15,6 +15,7 @@ from slamhive.recordings.importers.registry import plan_import
 from slamhive.recordings.importing import ImportOptions, perform
 from tests.fuzzing import mutated
 from tests.recordings.storages import ROS1
+from tests.recordings.test_euroc import basalt
 from tests.recordings.test_import_ros import CALIBRATION, EQUIDISTANT, bag, recording, silent, truth_file
 from tests.recordings.test_import_ros_special import FIELDS, write_lidar
 
@@ -97,16 +98,23 @@ def test_mutated_kalibr_files(bag: Path, tmp_path: Path) -> None:
     assert len(fuzz_plans(bag, target, ImportOptions(calibration=(target,)))) > 10
 
 
+def test_mutated_basalt_files(bag: Path, tmp_path: Path) -> None:
+    target = tmp_path / "calibration.json"
+    target.write_text(basalt(resolution=[[64, 48]] * 2))
+    assert len(fuzz_plans(bag, target, ImportOptions(calibration=(target,)))) > 10
+
+
 def test_mutated_ground_truth(tmp_path: Path) -> None:
     source, target = tmp_path / "a.bag", truth_file(tmp_path)
     write_lidar(source, FIELDS["ouster"][0])
     assert len(fuzz_plans(source, target, ImportOptions(groundtruth=target))) > 5
 
 
-def test_mutated_poses_of_newer_college(tmp_path: Path) -> None:
+@pytest.mark.parametrize("row", ["{}, 0, {}, 0, 0, 0, 0, 0, 1\n", "  {} {} 0 0 0 0 0 1\n"])
+def test_mutated_poses_of_newer_college(tmp_path: Path, row: str) -> None:
     source = tmp_path / "experiment"
     source.mkdir()
     write_lidar(source / "a.bag", FIELDS["ouster"][0])
     target = source / "registered_poses.csv"
-    target.write_text("".join(f"{1000 + i}, 0, {i}, 0, 0, 0, 0, 0, 1\n" for i in range(4)))
+    target.write_text("".join(row.format(1000 + i, i) for i in range(4)))
     assert len(fuzz(source, target, "newer-college")) > 3
