@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import StrEnum
+from functools import cache
 from operator import attrgetter
 from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin, get_type_hints
@@ -133,15 +134,18 @@ class Option:
         return low and math.isfinite(value) and (self.maximum is None or value <= self.maximum)
 
 
-def options_of(model: type[Any], prefix: str = "") -> Iterator[Option]:
+@cache
+def options_of(model: type[Any], prefix: str = "") -> tuple[Option, ...]:
     """The described fields of a dataclass, those of nested ones included: its own in order, then inherited ones."""
     hints = get_type_hints(model, include_extras=True)
+    found: list[Option] = []
     for field in sorted(dataclasses.fields(model), key=lambda field: field.name not in model.__annotations__):
         kind, info = _parts(hints[field.name])
         if dataclasses.is_dataclass(kind):
-            yield from options_of(kind, f"{prefix}{field.name}.")  # type: ignore[arg-type]
+            found += options_of(kind, f"{prefix}{field.name}.")  # type: ignore[arg-type]
         elif info is not None:
-            yield _option(prefix + field.name, kind, field, info)
+            found.append(_option(prefix + field.name, kind, field, info))
+    return tuple(found)
 
 
 def _option(name: str, kind: Any, field: dataclasses.Field[Any], info: Asked) -> Option:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import gzip
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
 
 from cachetools import LRUCache, TTLCache
 from flask import Flask, Response, g, request, session
+from werkzeug.datastructures import Headers
+from werkzeug.http import parse_accept_header, parse_etags, remove_entity_headers
 
 from slamhive.base.clock import monotonic_s
+
+if TYPE_CHECKING:
+    from _typeshed.wsgi import StartResponse, WSGIApplication, WSGIEnvironment
 
 # -- pages, data and scripts are sent compressed to browsers that accept gzip; plotly.js shrinks from 4.8 to 1.4 MB ----
 
@@ -29,10 +36,10 @@ def add_compression(app: Flask) -> None:
 
     @app.after_request
     def compress(response: Response) -> Response:
-        if not worth_compressing(response):
+        if _KEEP in request.environ or not worth_compressing(response):
             return response
         response.vary.add("Accept-Encoding")
-        if not accepts_gzip():
+        if not accepts_gzip(request.headers.get("Accept-Encoding", "")):
             return response
         response.direct_passthrough = False
         tag, _ = response.get_etag()
@@ -41,7 +48,7 @@ def add_compression(app: Flask) -> None:
             response.close()
             _send_as_gzip(response, files.get((request.path, tag), content))
         else:
-            compress_page(response)
+            _send_as_gzip(response, gzip.compress(content, _PAGE_LEVEL, mtime=0))
         if tag is not None:
             response.set_etag(tag, weak=True)
         return response
@@ -61,21 +68,14 @@ class _Files:
             return self._kept[key]
 
 
-def accepts_gzip() -> bool:
-    """True if whoever asks takes gzip."""
-    said = request.headers.get("Accept-Encoding", "")
-    return "gzip" in said and (";" not in said or bool(request.accept_encodings["gzip"]))
-
-
-def compress_page(response: Response) -> None:
-    """Make an answer that of those who take gzip."""
-    _send_as_gzip(response, gzip.compress(response.get_data(), _PAGE_LEVEL, mtime=0))
+def accepts_gzip(said: str) -> bool:
+    """True if ``said``, the header Accept-Encoding of whoever asks, allows gzip."""
+    return "gzip" in said and (";" not in said or bool(parse_accept_header(said)["gzip"]))
 
 
 def _send_as_gzip(response: Response, compressed: bytes) -> None:
     response.set_data(compressed)
     response.content_encoding = "gzip"
-    response.vary.add("Accept-Encoding")
 
 
 def worth_compressing(response: Response) -> bool:
@@ -96,27 +96,60 @@ MOST_KEPT_BYTES = 100_000_000
 _ENTRY_BYTES = 2_000
 """Upper bound of what an entry takes besides its texts."""
 _ASSETS = "static"
-Key = tuple[str, str]
+Key = tuple[str, ...]
+_KEEP = "slamhive.keep"
+"""In the environment of a request: its answer is the same for all, and is packed and compared by :class:`KeptPages`."""
 
 
-@dataclass(slots=True)
-class _Page:
-    """A page; ``shrinks`` says if compressing is worth it, and ``small`` is compressed once somebody has asked."""
+@dataclass(frozen=True, slots=True)
+class _Packed:
+    """One encoding of a page: what is sent, and the headers of a page and of 304."""
 
     content: bytes
-    headers: tuple[tuple[str, str], ...]
-    shrinks: bool
-    size_bytes: int
-    small: _Page | None = None
+    headers: list[tuple[str, str]]
+    unchanged: list[tuple[str, str]]
 
-    def answer(self, *, compressed: bool) -> Response:
-        if compressed and self.shrinks:
-            if self.small is None:
-                response = self.answer(compressed=False)
-                compress_page(response)
-                self.small = replace(self, content=response.get_data(), headers=tuple(response.headers.items()))
-            return self.small.answer(compressed=False)
-        return Response(self.content, headers=list(self.headers))
+
+class KeptPage:
+    """A page, complete with all headers.
+
+    Args:
+        content: Its bytes.
+        headers: Its headers, with an ETag.
+        shrinks: Whether compressing is worth it. The page is compressed once, when somebody has asked.
+    """
+
+    def __init__(self, content: bytes, headers: list[tuple[str, str]], *, shrinks: bool = False) -> None:
+        self.content = content
+        self.size_bytes = (
+            len(content) + shrinks * len(content) // 2 + sum(len(name) + len(text) for name, text in headers)
+        )
+        self._shrinks = shrinks
+        self._packed: dict[bool, _Packed] = {}
+        self._headers = headers
+        self._tag = Headers(headers).get("ETag", "").removeprefix("W/").strip('"')
+
+    def answer(self, environ: WSGIEnvironment, start: StartResponse) -> list[bytes]:
+        """Answer as a WSGI application: the page, or 304 if the browser has it."""
+        small = self._shrinks and accepts_gzip(environ.get("HTTP_ACCEPT_ENCODING", ""))
+        packed = self._packed.get(small) or self._pack(small=small)
+        known = environ.get("HTTP_IF_NONE_MATCH")
+        if known and parse_etags(known).contains_weak(self._tag):
+            start("304 NOT MODIFIED", list(packed.unchanged))
+            return []
+        start("200 OK", list(packed.headers))
+        return [packed.content]
+
+    def _pack(self, *, small: bool) -> _Packed:
+        content, headers = self.content, Headers(self._headers)
+        if small:
+            content = gzip.compress(content, _PAGE_LEVEL, mtime=0)
+            headers["Content-Encoding"] = "gzip"
+        headers["Content-Length"] = str(len(content))
+        unchanged = list(headers)
+        remove_entity_headers(unchanged)
+        packed = self._packed[small] = _Packed(content, list(headers), unchanged)
+        return packed
 
 
 class PageCache:
@@ -129,28 +162,58 @@ class PageCache:
 
     def __init__(self, kept_s: float = KEPT_S, clock: Callable[[], float] = monotonic_s) -> None:
         self._lock = threading.Lock()
-        self._pages: TTLCache[Key, _Page] = TTLCache(MOST_KEPT_BYTES, kept_s, clock, lambda page: page.size_bytes)
+        self._pages: TTLCache[Key, tuple[KeptPage, int]] = TTLCache(MOST_KEPT_BYTES, kept_s, clock, itemgetter(1))
 
-    def get(self, key: Key, *, compressed: bool = False) -> Response | None:
-        """The page, if it is kept and young enough; ``compressed`` by gzip if that is worth it."""
+    def get(self, key: Key) -> KeptPage | None:
+        """The page, if it is kept and young enough."""
         with self._lock:
-            page = self._pages.get(key)
-        return None if page is None else page.answer(compressed=compressed)
+            found = self._pages.get(key)
+        return None if found is None else found[0]
 
-    def put(self, key: Key, response: Response, *, shrinks: bool = False) -> None:
+    def put(self, key: Key, page: KeptPage) -> None:
         """Keep a page; it replaces those that were used least recently if there are too many bytes."""
-        content, headers = response.get_data(), tuple(response.headers.items())
-        # An address may be longer than its page.
-        size_bytes = (
-            _ENTRY_BYTES
-            + len(content)
-            + shrinks * len(content) // 2
-            + sum(map(len, key))
-            + sum(len(name + text) for name, text in headers)
-        )
+        size_bytes = _ENTRY_BYTES + page.size_bytes + sum(map(len, key))  # an address may be longer than its page
         if size_bytes <= MOST_PAGE_BYTES:
             with self._lock:
-                self._pages[key] = _Page(content, headers, shrinks, size_bytes)
+                self._pages[key] = page, size_bytes
+
+
+class KeptPages:
+    """The application with its kept pages in front: a request for one of them reaches neither Flask nor the database.
+
+    Whatever decides about a page is part of its key, also the host, which the application has to accept first.
+    """
+
+    def __init__(self, app: WSGIApplication, cache: PageCache) -> None:
+        self._app = app
+        self._cache = cache
+
+    def __call__(self, environ: WSGIEnvironment, start: StartResponse) -> Iterable[bytes]:
+        """Answer a request."""
+        if environ["REQUEST_METHOD"] != "GET" or environ.get("CONTENT_LENGTH", "") not in {"", "0"}:
+            return self._app(environ, start)
+        key = tuple(environ.get(name, "") for name in _DECISIVE)
+        page = self._cache.get(key)
+        if page is None:
+            headers: list[tuple[str, str]] = []
+
+            def begin(status: str, found: list[tuple[str, str]], exc_info: Any = None) -> Callable[[bytes], object]:
+                if _KEEP not in environ:
+                    return start(status, found, exc_info)
+                headers.extend(found)
+                return lambda _written: None  # Flask gives its answers as pieces, and writes nothing itself
+
+            pieces = self._app(environ, begin)
+            if _KEEP not in environ:
+                return pieces
+            page = KeptPage(b"".join(pieces), headers, shrinks=environ[_KEEP])
+            getattr(pieces, "close", lambda: None)()
+            if not any(name == "Set-Cookie" for name, _ in headers):
+                self._cache.put(key, page)
+        return page.answer(environ, start)
+
+
+_DECISIVE = ("wsgi.url_scheme", "HTTP_HOST", "SCRIPT_NAME", "PATH_INFO", "QUERY_STRING", "HTTP_ACCEPT")
 
 
 def add_caching(app: Flask) -> None:
@@ -167,32 +230,33 @@ def add_caching(app: Flask) -> None:
         if request.method in ("GET", "HEAD") and _plain(response):
             if response.get_etag()[0] is None:
                 response.add_etag(weak=True)
-            response.make_conditional(request)
+            if _KEEP not in request.environ:
+                response.make_conditional(request)
         return response
 
 
 def keep_pages(app: Flask, cache: PageCache) -> None:
     """Answer from ``cache`` if it holds the page; register after the checks of every request."""
+    app.wsgi_app = KeptPages(app.wsgi_app, cache)  # type: ignore[assignment, method-assign]
 
     @app.before_request
-    def kept() -> Response | None:
-        found = cache.get(_key(), compressed=accepts_gzip()) if request.method == "GET" else None
-        g.kept = found is not None
-        return found
+    def pass_checks() -> None:
+        g.checked = True
 
     @app.after_request
     def keep(response: Response) -> Response:
         # A page with a token or a message belongs to one visitor.
         own = "csrf_token" in g or session.modified
-        if request.method == "GET" and _plain(response) and not own and not g.get("kept", True):
-            if response.get_etag()[0] is None:
+        if request.method == "GET" and _plain(response) and not own and "checked" in g:
+            shrinks = request.environ[_KEEP] = worth_compressing(response)
+            if shrinks:
+                response.vary.add("Accept-Encoding")
+            tag, _ = response.get_etag()
+            if tag is None:
                 response.add_etag(weak=True)
-            cache.put(_key(), response, shrinks=worth_compressing(response))
+            elif shrinks:
+                response.set_etag(tag, weak=True)  # its two encodings have the same content, and not the same bytes
         return response
-
-
-def _key() -> Key:
-    return request.full_path, request.headers.get("Accept", "")
 
 
 def _plain(response: Response) -> bool:

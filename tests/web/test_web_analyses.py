@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flask import Response
 
 from slamhive.analysis.plot_types import PLOT_TYPES
 from slamhive.base.errors import Unavailable
@@ -27,7 +26,7 @@ from slamhive.services.stored_analyses.computing import AnalysisJobs
 from slamhive.services.stored_analyses.stored import MOST_WAITING_FILES
 from slamhive.store import AnalysisState
 from slamhive.web.analysis_editor import ALL, cards, first_text
-from slamhive.web.caching import PageCache
+from slamhive.web.caching import KeptPage, PageCache
 from slamhive.web.context import COMPUTER_EXTENSION
 from slamhive.web.security import API_HEADER
 from slamhive.web.views.help import OF_PAGE
@@ -300,12 +299,18 @@ def test_a_page_that_is_kept_costs_neither_a_query_nor_its_compression(
     first, second = (viewing.client.get("/runs", headers=accepting) for _ in range(2))
     monkeypatch.setattr("slamhive.web.caching.gzip.compress", lambda *_args, **_more: pytest.fail("packed again"))
     monkeypatch.setattr(viewing.hive.store, "read", lambda _work: pytest.fail("the database is asked"))
+    monkeypatch.setattr(viewing.app, "full_dispatch_request", lambda: pytest.fail("Flask is asked"))
     third = viewing.client.get("/runs", headers=accepting)
     assert first.data == second.data == third.data
     assert third.headers["Content-Encoding"] == "gzip"
     assert int(third.headers["Content-Length"]) == len(third.data)
     assert third.headers["ETag"] == first.headers["ETag"]
     assert third.headers["Vary"] == first.headers["Vary"]
+    known = {"If-None-Match": f'"other", {third.headers["ETag"]}'}
+    unchanged = viewing.client.get("/runs", headers={**accepting, **known})
+    assert (unchanged.status_code, unchanged.data) == (304, b"")
+    assert unchanged.headers["Vary"] == first.headers["Vary"]
+    assert "Content-Encoding" not in unchanged.headers
     whole = viewing.client.get("/runs", headers={"Accept-Encoding": "br, gzip;q=0"})
     assert gzip.decompress(third.data) == whole.data
     assert "Content-Encoding" not in whole.headers
@@ -316,15 +321,15 @@ def test_kept_pages_grow_old_and_few():
     now = [0.0]
     cache = PageCache(5.0, lambda: now[0])
     for place in range(80):
-        cache.put((str(place), ""), Response(b"x" * 1_900_000))
+        cache.put((str(place), ""), KeptPage(b"x" * 1_900_000, []))
     assert cache.get(("0", "")) is None
     newest = cache.get(("79", ""))
     assert newest is not None
-    assert len(newest.get_data()) == 1_900_000
-    cache.put(("large", ""), Response(b"x" * 3_000_000))
+    assert len(newest.content) == 1_900_000
+    cache.put(("large", ""), KeptPage(b"x" * 3_000_000, []))
     assert cache.get(("large", "")) is None
     for place in range(120):
-        cache.put((f"{place}?" + "x" * 1_000_000, ""), Response(b"small"))
+        cache.put((f"{place}?" + "x" * 1_000_000, ""), KeptPage(b"small", []))
     assert cache.get(("0?" + "x" * 1_000_000, "")) is None
     assert cache.get(("79", "")) is None
     now[0] = 5.1
