@@ -3,6 +3,7 @@
 Runs in the evaluation container and in a plain process alike.
 """
 
+import gc
 import os
 import sys
 import tempfile
@@ -15,6 +16,8 @@ def _prepare_environment() -> None:
     os.environ["MPLBACKEND"] = "Agg"
     os.environ.pop("DISPLAY", None)
     os.environ["HOME"] = os.environ["MPLCONFIGDIR"] = tempfile.mkdtemp(prefix="evaluation-home-")
+    # What imports make stays: looking for garbage in it takes a sixth of their time.
+    gc.set_threshold(100_000, *gc.get_threshold()[1:])
 
 
 def _emit(line: str) -> None:

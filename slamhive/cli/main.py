@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import logging
 import sys
@@ -172,6 +173,8 @@ def main(context: click.Context, data: Path | None, database_url: str | None, ve
     to_terminal = logging.StreamHandler()
     to_terminal.setFormatter(VisibleFormatter("%(levelname)s %(name)s: %(message)s"))
     logging.basicConfig(level=level, handlers=[to_terminal])
+    for logger in (logging.getLogger("slamhive"), logging.getLogger(REGISTRY)):
+        context.call_on_close(functools.partial(logger.setLevel, logger.level))  # commands choose for themselves
     logging.getLogger(REGISTRY).setLevel(logging.WARNING)  # what it says of broken plug-ins is always shown
     context.obj = CliContext({"data": None if data is None else data.absolute(), "database_url": database_url})
     context.call_on_close(context.obj.close)

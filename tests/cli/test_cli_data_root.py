@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -14,7 +15,7 @@ from sqlalchemy import event
 
 from slamhive.base.errors import NotFound, SlamHiveError
 from slamhive.cli.acting import EXPECTED, LISTS
-from slamhive.cli.main import main
+from slamhive.cli.main import REGISTRY, main
 from slamhive.services.data_root import DataRoot
 from slamhive.services.hive import open_hive
 from slamhive.store import AbsentStore, Store
@@ -181,6 +182,15 @@ def test_a_server_that_only_shows_makes_nothing(project: Path, monkeypatch: pyte
     assert result.exit_code == 1
     assert "does not exist" in result.stderr
     assert not (project / "wrong").exists()
+
+
+def test_a_command_leaves_as_it_was_what_is_logged(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SLAMHIVE_MODE", "view-only")
+    monkeypatch.setenv("SLAMHIVE_DATA", str(project / "wrong"))
+    loggers = [logging.getLogger(name) for name in ("slamhive", REGISTRY)]
+    before = [logger.level for logger in loggers]
+    assert "does not exist" in call("serve", "--port", "0").stderr
+    assert [logger.level for logger in loggers] == before == [logging.NOTSET, logging.NOTSET]
 
 
 def test_commands_that_list_are_commands() -> None:
