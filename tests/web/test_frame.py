@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
+from slamhive.analysis.chart import RUN_COLOURS, on_dark
 from slamhive.domain.accounts import EVERYTHING, MAY, VISITOR_MAY, Action, Caller, Role
 from slamhive.web import pages
+from slamhive.web.columns import DEFAULT_COLUMNS, all_columns
 from tests.web.web_world import Web
 
 
@@ -57,3 +62,17 @@ def test_the_palette_finds_what_the_page_finds(shown: Web) -> None:
         0
     ].items()
     assert shown.client.get("/find.json?q=").get_json() == {"found": []}
+
+
+def test_no_colour_of_an_outcome_is_that_of_a_series() -> None:
+    tokens = (Path(__file__).resolve().parents[2] / "static" / "tokens.css").read_text(encoding="utf-8")
+    pairs = re.findall(r"--(good|bad|going|doubt|idle): light-dark\((#\w+), (#\w+)\)", tokens)
+    assert len(pairs) == 5
+    outcomes = {colour.lower() for _, *shades in pairs for colour in shades}
+    series = {colour.lower() for shade in RUN_COLOURS for colour in (shade, on_dark(shade))}
+    assert outcomes & series == set()
+
+
+def test_a_list_shows_first_what_tells_runs_apart_and_how_good_they_are() -> None:
+    titles = [all_columns()[key].title for key in DEFAULT_COLUMNS]
+    assert titles == ["Run", "Algorithm", "Dataset", "What differs", "Outcome", "ATE RMSE", "Tracked fraction"]

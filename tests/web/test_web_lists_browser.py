@@ -218,6 +218,29 @@ def test_a_row_is_looked_at_beside_the_list_and_the_actions_come_with_a_selectio
     assert wide_parts(browsing) == []
 
 
+def test_heads_stay_and_the_error_is_in_sight_of_a_desk_also_in_groups(chromium: Browser, server: str) -> None:
+    """The rhythm of the page too: titles of 24 to 28 px, numerals of one width, a ring around what has the focus."""
+    style = "(part, name) => getComputedStyle(part)[name]"
+    with faultless(chromium, server, viewport={"width": 1440, "height": 900}) as page:
+        for address in ("/runs", "/runs?group=configuration"):
+            page.goto(address)
+            table = page.locator("#list table")
+            assert table.locator("thead th").first.evaluate(style, "position") == "sticky"
+            assert table.locator("tbody tr").first.locator("td, th").first.evaluate(style, "position") == "sticky"
+            assert 24 <= float(page.locator("h1").evaluate(style, "fontSize").removesuffix("px")) <= 28
+            number = table.locator("tbody td.number").first
+            assert "tabular-nums" in number.evaluate(style, "fontVariantNumeric")
+            error = page.locator("#list th[data-column='ate.rmse']").bounding_box()
+            assert error is not None
+            assert error["x"] + error["width"] < 1440
+            assert wide_parts(page) == []
+        page.goto("/runs/1")
+        page.keyboard.press("Tab")
+        assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+        trail = page.get_by_role("navigation", name="Breadcrumb")
+        assert trail.locator("li").all_inner_texts() == ["Runs", "Run 1"]
+
+
 def test_notes_and_tags_are_edited_in_the_list_by_keyboard(browsing: Page, desk: Web) -> None:
     run_id = desk.runs["done"]
     browsing.goto(f"/runs?columns=id,tags,note&where=id+%3D+{run_id}")
