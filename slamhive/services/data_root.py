@@ -53,7 +53,8 @@ def open_data_root(settings: Settings, expected: DataRoot) -> Store:
         new = settings.datasets_folder.is_dir() and not (runs.is_dir() and any(runs.iterdir()))
         create = settings.mode is not Mode.VIEW_ONLY and new
         store = open_store(settings.effective_database_url, settings.database_retry_s, create=create)
-        _make_folders(settings)
+        if settings.mode is not Mode.VIEW_ONLY:
+            _make_folders(settings)
         return store
     _make_folders(settings)
     return open_store(settings.effective_database_url, settings.database_retry_s)

@@ -503,7 +503,7 @@ def check_indexed(hive: Hive) -> None:
     if any(hive.stored_runs.counts().values()):
         return
     runs = hive.settings.runs_folder
-    if any(entry.name.isdigit() for entry in runs.iterdir()):
+    if runs.is_dir() and any(entry.name.isdigit() for entry in runs.iterdir()):
         raise Conflict(f"{runs} holds runs that are missing from the database", "slamhive reindex files them")
     if hive.ledger.knows_more():
         raise Conflict(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import shutil
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -191,6 +192,15 @@ def test_a_command_leaves_as_it_was_what_is_logged(project: Path, monkeypatch: p
     before = [logger.level for logger in loggers]
     assert "does not exist" in call("serve", "--port", "0").stderr
     assert [logger.level for logger in loggers] == before == [logging.NOTSET, logging.NOTSET]
+
+
+def test_a_server_that_only_shows_makes_no_folder_that_is_missing(project: Path, monkeypatch: pytest.MonkeyPatch):
+    make_dataset(project / "data")
+    assert call("runs").exit_code == 0
+    shutil.rmtree(project / "data" / "runs")
+    monkeypatch.setenv("SLAMHIVE_MODE", "view-only")
+    assert call("runs").exit_code == 0
+    assert not (project / "data" / "runs").exists()
 
 
 def test_commands_that_list_are_commands() -> None:

@@ -164,6 +164,22 @@ def test_a_check_without_sending_counts_nothing(world: World):
     assert world.challenges.submissions("rooms") == []
 
 
+def test_links_are_neither_challenges_nor_submissions(world: World, tmp_path: Path):
+    submit(world)
+    root = world.settings.challenges_folder
+    submissions = root / "rooms" / "submissions"
+    (sent,) = [path for path in submissions.iterdir() if not path.name.startswith(".")]
+    elsewhere = tmp_path / "elsewhere"
+    sent.rename(elsewhere)
+    sent.symlink_to(elsewhere)
+    (root / "halls").symlink_to(root / "rooms")
+    assert world.judge() == 0
+    assert world.challenges.submissions("rooms") == []
+    assert not (elsewhere / "result.json").exists()
+    with pytest.raises(NotFound, match="unknown challenge 'halls'"):
+        world.challenges.submissions("halls")
+
+
 def test_a_team_has_so_many_submissions_a_day_and_a_new_process_knows(world: World):
     for seed in range(3):
         submit(world, seed=seed)

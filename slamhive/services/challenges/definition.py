@@ -359,11 +359,16 @@ class ChallengeFolder:
         return ChallengeChanges.read(read_record(path)) if path.exists() else ChallengeChanges()
 
     def submission_ids(self) -> list[str]:
-        """The names of all submissions, the oldest day first."""
+        """The names of all submissions, the oldest day first.
+
+        A link is none of them: a web server that was broken into may write here, and the worker stores results there.
+        """
         try:
-            return sorted(entry.name for entry in os.scandir(self.submissions_root) if not entry.name.startswith("."))
+            with os.scandir(self.submissions_root) as entries:
+                folders = [entry.name for entry in entries if entry.is_dir(follow_symlinks=False)]
         except FileNotFoundError:
             return []
+        return sorted(name for name in folders if not name.startswith("."))
 
     def submission(self, submission_id: str) -> SubmissionFolder:
         """The folder of one submission."""
@@ -422,7 +427,8 @@ def challenge_names(root: Path) -> list[str]:
     """The names of all challenges."""
     if not root.is_dir():
         return []
-    return sorted(entry.name for entry in root.iterdir() if not entry.name.startswith(".") and entry.is_dir())
+    folders = (entry for entry in root.iterdir() if entry.is_dir() and not entry.is_symlink())
+    return sorted(entry.name for entry in folders if not entry.name.startswith("."))
 
 
 def challenge_folder(root: Path, name: str) -> ChallengeFolder:
