@@ -151,8 +151,9 @@ def create_app(hive: Hive, host: str | None = None) -> Flask:
             request.max_content_length = most
 
     callers = protect(app, hive, host or hive.settings.host)
-    # After the checks, which hold for kept pages too; before the transaction, which kept pages do not need.
-    if hive.settings.mode is Mode.VIEW_ONLY:
+    # A page is kept once it has passed the checks, and answered before them: what they look at (host, method) is in
+    # its key, and everybody sees the same. Where callers sign in that would not be so.
+    if hive.settings.mode is Mode.VIEW_ONLY and not callers.needed:
         keep_pages(app, PageCache())
     _show_one_moment(app, hive.store)
     Bootstrap5(app)
