@@ -197,7 +197,12 @@ def detect_format(path: Path) -> str:
     if names:
         evidence = "; ".join(f"{name} ({', '.join(detections[name].found)})" for name in names)
         raise InvalidInput(f"{path} fits several formats: {evidence}", "choose one with --format")
-    inner = _recordings_in(path)
+    # Of a folder that holds recordings, the first ones with their formats.
+    below: list[str] = []
+    for entry in visible_files(path)[:_MOST_LOOKED_AT] if path.is_dir() else []:
+        fits = sorted(name for name, importer in IMPORTERS if importer.detect(entry).complete)
+        below += [f"{entry.name} ({fits[0]})"] if fits else []
+    inner = " or ".join(below[:_MOST_NAMED])
     # The format of which most was found is the one that users probably mean.
     name, nearest = max(detections.items(), key=lambda entry: (len(entry[1].found), -len(entry[1].missing)))
     if nearest.found:
@@ -213,13 +218,3 @@ def detect_format(path: Path) -> str:
         f"{path} is in no format that can be imported",
         "unpack the archive, and give the file or folder in it" if archive else known,
     )
-
-
-def _recordings_in(folder: Path) -> str:
-    """The first recordings that lie in a folder, with their formats; empty if there are none."""
-    found: list[str] = []
-    for path in visible_files(folder)[:_MOST_LOOKED_AT]:
-        fits = sorted(name for name, importer in IMPORTERS if importer.detect(path).complete)
-        if fits:
-            found.append(f"{path.name} ({fits[0]})")
-    return " or ".join(found[:_MOST_NAMED])

@@ -210,7 +210,7 @@ class SensorBuilder:
         return tuple(made), (min(first for first, _ in spans.values()), max(last for _, last in spans.values()))
 
     def position_m(self, frame: str) -> tuple[float, ...] | None:
-        """Where a frame of the recording is on the body, None if nothing says so."""
+        """Position of a frame of the recording on the body, None if nothing says it."""
         graph, body = self._frames()
         T_body_frame = graph.find(body, _TF + frame)
         return None if T_body_frame is None else tuple(float(number) for number in T_body_frame[:3, 3])
