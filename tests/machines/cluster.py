@@ -16,15 +16,13 @@ from typing import Any
 
 from tests.executors.pod_installation import record_checksum
 from tests.machines.lab import DATA as PROBE_DATA
-from tests.machines.lab import PROJECT_ROOT, Machine
+from tests.machines.lab import Machine
 from tests.services.tiny_project import make_dataset, make_project
 
 SHARED = "/srv/slamhive"
 """What the first machine gives to the others over NFS."""
 PROJECT = f"{SHARED}/project"
 DATA = f"{SHARED}/data"
-APART = "/home/dev/data"
-"""A data root that other machines do not see."""
 SLURMD_TIMEOUT_S = 90
 """How long a node may not answer before Slurm sets it down."""
 PATIENCE_S = 900.0
@@ -133,34 +131,6 @@ class SlurmMachines:
             f" cp -a $made {DATA}/environments/tiny-${{made#sleeper-}}; done"
         )
         self.slamhive("algorithm build tiny")
-
-    def serve_nodes_by_tls(self) -> None:
-        """Share no storage: nodes reach the worker through nginx, as the documentation says, and trust it."""
-        address = "10.77.0.1"
-        assert self.controller.number == 1
-        document = (PROJECT_ROOT / "docs" / "slurm.md").read_text(encoding="utf-8")
-        site = document.partition("```nginx\n")[2].partition("```")[0].replace("10.0.0.1", address)
-        key, certificate = "/etc/ssl/private/hive.key", "/etc/ssl/hive.crt"
-        self.controller.run(
-            "set -e; openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 30 "
-            f"-subj /CN={address} -addext subjectAltName=IP:{address} -keyout {key} -out {certificate}\n"
-            f"printf %s {shlex.quote(site)} > /etc/nginx/conf.d/hive.conf; nginx -t; systemctl start nginx",
-            "root",
-        )
-        trusted = self.controller.run(f"cat {certificate}", "root")
-        for node in self.nodes:
-            node.run(
-                f"printf %s {shlex.quote(trusted)} > /usr/local/share/ca-certificates/hive.crt; update-ca-certificates",
-                "root",
-            )
-        self.settings |= {
-            "SLAMHIVE_DATA": APART,
-            "SLAMHIVE_SHARED_STORAGE": "false",
-            "SLAMHIVE_NODE_ADDRESS": "127.0.0.1:5001",
-            "SLAMHIVE_NODE_URL": f"https://{address}:5443",
-            "SLAMHIVE_NODE_CACHE": "/var/tmp/slamhive-cache",
-            "SLAMHIVE_SLURM_CONTAINERS": "podman",
-        }
 
     def start_worker(self) -> None:
         """Start a worker as a system service of ``dev``."""
