@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -200,8 +201,10 @@ def detect_format(path: Path) -> str:
     # Of a folder that holds recordings, the first ones with their formats.
     below: list[str] = []
     for entry in visible_files(path)[:_MOST_LOOKED_AT] if path.is_dir() else []:
-        fits = sorted(name for name, importer in IMPORTERS if importer.detect(entry).complete)
-        below += [f"{entry.name} ({fits[0]})"] if fits else []
+        # what cannot be opened is no reason to stop
+        with suppress(OSError):
+            fits = sorted(name for name, importer in IMPORTERS if importer.detect(entry).complete)
+            below += [f"{entry.name} ({fits[0]})"] if fits else []
     inner = " or ".join(below[:_MOST_NAMED])
     # The format of which most was found is the one that users probably mean.
     name, nearest = max(detections.items(), key=lambda entry: (len(entry[1].found), -len(entry[1].missing)))
