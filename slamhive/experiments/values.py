@@ -24,6 +24,7 @@ _NUMBER = r"[-+]?(?:\d{1,40}\.?\d{0,40}|\.\d{1,40})(?:[eE][-+]?\d{1,3})?"
 """Longer ones are text. As exact fractions they would take gigabytes, and no parameter needs them."""
 _INTEGER = re.compile(r"[-+]?\d{1,40}", re.ASCII)
 _FLOAT = re.compile(_NUMBER, re.ASCII)
+_DOTS = re.compile(rf"\s*{_NUMBER}\s*\.\.+\s*{_NUMBER}\s*", re.ASCII)
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})\s*(?::\s*({_NUMBER})\s*)?", re.ASCII)
 _CALL = re.compile(r"\s*([A-Za-z]\w*)\s*\((.*)\)\s*")
 _LARGEST_END, _SMALLEST_END = 1e100, 1e-100
@@ -113,6 +114,8 @@ def _part(part: str, whole: str) -> list[Scalar]:
         raise InvalidInput(f"{whole!r} holds an empty value", "give at least one value on each side of '|'")
     if match := _RANGE.fullmatch(part):
         return _range(part.strip(), match[1], match[2], match[3] or "1")
+    if _DOTS.fullmatch(part):
+        raise InvalidInput(f"{part.strip()} is no finite choice", "write first:last:step, or lin(first, last, n)")
     if match := _CALL.fullmatch(part):
         return _call(part.strip(), match[1], match[2])
     return [as_scalar(part)]

@@ -161,6 +161,17 @@ def test_a_trial_that_is_cancelled_takes_no_part(hive: Hive):
     assert found.notes[0].startswith("Cancelled by hand, and takes no part: nFeatures")
 
 
+def test_an_algorithm_that_cannot_be_built_takes_no_part(hive: Hive):
+    text = MANY.replace("eye-slam-stereo", "eye-slam-stereo | eye-slam-mono").replace("90 runs", "30 runs")
+    start(hive, text + "evaluate: {alignment: sim3}\n")
+    found = searched(
+        hive,
+        lambda run: FailureReason.IMAGE_MISSING if run.algorithm == "eye-slam-mono" else noisy(run),
+    )
+    assert found.notes == ("eye-slam-mono cannot be built, and takes no part.",)
+    assert {entry.values["algorithm"] for entry in found.candidates} == {"eye-slam-stereo"}
+
+
 TRADED = MANY.replace("within: 10%", "within: 10%, against: [cpu.mean, failed]")
 
 

@@ -163,6 +163,11 @@ def test_the_answer_is_the_same_in_pages_api_and_services(web: Web) -> None:
     assert found.sentence in page
     assert f"Add {found.more_repeats} repeats</button>" in page, "one primary button while a test is undecided"
     assert "btn-primary" not in page.partition("Make a report")[0].rpartition("<a ")[2]
+    assert '"/new-experiment?copy=ranked&amp;decide=1"' in page
+    offered = web.client.get("/new-experiment?copy=ranked&decide=1").text
+    assert "decide:\n  budget: 40 runs\n  difference: 5%" in offered
+    assert "repeats:" not in offered
+    assert "Cannot start" not in offered
     answered = web.client.get("/api/v1/experiments/ranked").get_json()["answer"]
     assert (answered["sentence"], answered["more_repeats"]) == (found.sentence, found.more_repeats)
 

@@ -123,7 +123,10 @@ class QuestionLook:
         recording has run, first looks say how long that takes. Before any run has ended, nothing is known.
         """
         if budget.time_s is None:
-            return budget.runs_left(self.asked - self.looked, 0.0)
+            # What cannot run has cost nothing.
+            aside = [candidate for candidate in self.candidates if self.hindrance(candidate) is not None]
+            unstarted = sum(run.use is RunUse.CANNOT_RUN for candidate in aside for run in self.of(candidate))
+            return budget.runs_left(self.asked - self.looked - unstarted, 0.0)
         whole_s = self._whole_s
         if whole_s is None:
             return MOST_RUNS

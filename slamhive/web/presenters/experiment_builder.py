@@ -15,6 +15,7 @@ from slamhive.documents.experiment import ExperimentPreviewDocument
 from slamhive.domain.algorithm import Algorithm
 from slamhive.domain.dataset import Dataset
 from slamhive.domain.parameters import Parameter
+from slamhive.domain.question import MOST_RUNS
 from slamhive.domain.sensors import SensorKind, SensorSetup
 from slamhive.recordings.variants.steps import STEPS, describe_options, describe_step, treated_kinds
 from slamhive.services.experiments import ExperimentSource
@@ -223,6 +224,9 @@ class ExperimentDraft:
     field: str | None = None
 
 
+_RUNS_OF_EACH = 20
+
+
 def empty_draft() -> ExperimentDraft:
     """A draft without content."""
     return ExperimentDraft("", ExperimentFields())
@@ -235,6 +239,16 @@ def copied(hive: Hive, name: str) -> ExperimentDraft:
     stem = name[:56]
     free = next(new for number in itertools.count(2) if (new := f"{stem}-{number}") not in taken)
     return draft_from_text(hive, renamed(text, free))
+
+
+def deciding(hive: Hive, draft: ExperimentDraft) -> ExperimentDraft:
+    """``draft`` as an experiment that runs only until one candidate is the best, with room for 20 runs of each."""
+    if draft.fields is None or draft.preview is None:
+        return draft
+    runs = min(MOST_RUNS, _RUNS_OF_EACH * draft.preview.cells)
+    fields = draft.fields.with_value("repeats", "")
+    fields = fields.with_value("decide/difference", "5%").with_value("decide/budget", f"{runs} runs")
+    return _checked(hive, yaml_from_fields(fields), fields)
 
 
 def draft_from_form(hive: Hive, form: MultiDict[str, str]) -> ExperimentDraft:

@@ -37,6 +37,7 @@ from slamhive.web.presenters.experiment_builder import (
     ExperimentDraft,
     builder,
     copied,
+    deciding,
     draft_from_form,
     empty_draft,
     with_error,
@@ -294,11 +295,12 @@ experiment_builder_blueprint = Blueprint("experiment_builder", __name__, url_pre
 
 @experiment_builder_blueprint.get("")
 def new() -> str:
-    """Show an empty builder, or one with a copy of the experiment ``copy``."""
+    """Show an empty builder, or one with a copy of the experiment ``copy``; with ``decide``, one that decides."""
     services = hive()
     services.check_writable()
     source = request.args.get("copy")
-    return _builder_page(empty_draft() if source is None else copied(services, source))
+    draft = empty_draft() if source is None else copied(services, source)
+    return _builder_page(deciding(services, draft) if "decide" in request.args else draft)
 
 
 @experiment_builder_blueprint.post("")
