@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from slamhive.base.errors import InvalidInput, Unavailable
-from slamhive.executors.base import ExecutorContext
+from slamhive.domain.algorithm import AlgorithmPackage
+from slamhive.executors.base import ExecutorContext, ImageMissing
 from slamhive.executors.host import describe_host
 from slamhive.executors.slurm.containers import container_orders, make_mount_points
 from slamhive.executors.slurm.executor import SlurmExecutor, describe_node
@@ -311,3 +312,18 @@ def test_containers_are_a_setting(tmp_path):
     assert open_slurm(context).capabilities.needs != SlurmExecutor.capabilities.needs
     with pytest.raises(InvalidInput, match="SLURM_CONTAINERS='docker' is unknown"):
         open_slurm(replace(context, options={"containers": "docker"}))
+
+
+@pytest.mark.parametrize("dockerfile", [True, False])
+def test_without_docker_an_imported_image_without_a_dockerfile_is_asked_for_by_its_number(
+    tmp_path, monkeypatch, dockerfile
+):
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/none")
+    package = AlgorithmPackage("demo", tmp_path / "demo", "Demo", "1", "", "", "")
+    (package.folder / "slamhive").mkdir(parents=True)
+    if dockerfile:
+        (package.folder / "Dockerfile").write_text("FROM scratch\n")
+    executor = open_slurm(ExecutorContext(tmp_path, tmp_path, "home"))
+    with pytest.raises(ImageMissing, match="demo has no image here, and Docker cannot build it") as caught:
+        executor.build(package, lambda _line: None)
+    assert ("import FILE, and run demo@NUMBER" in str(caught.value.remedy)) is not dockerfile

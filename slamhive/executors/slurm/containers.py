@@ -77,10 +77,13 @@ class ContainerSlurmExecutor(SlurmExecutor):
         with self._docker() as docker:
             problem = docker.unavailable_because()
             if problem is not None:
+                # Nothing in an image that was not built here says which package it belongs to.
+                built = dockerfile_of(package, self._context.project_root) is not None
+                by_number = "" if built else f", and run {package.name}@NUMBER, because it has no Dockerfile"
                 raise ImageMissing(
                     f"{package.name} has no image here, and Docker cannot build it: {problem}",
                     f"where Docker is: slamhive algorithm export {package.name} FILE; then here: slamhive algorithm "
-                    f"import FILE; or set SLURM_CONTAINERS={NONE}",
+                    f"import FILE{by_number}; or set SLURM_CONTAINERS={NONE}",
                 )
             identity = docker.build(package, progress)
             progress(f"{package.name}: unpacking its image for the nodes")
