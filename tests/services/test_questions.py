@@ -278,7 +278,8 @@ def test_a_new_database_goes_on_where_the_folders_end(hive: Hive, tmp_path: Path
 
 def test_a_preview_tells_the_budget_and_what_would_be_refused(hive: Hive):
     found = hive.experiments.preview(ExperimentSource(TWO))
-    assert "the experiment chooses among these runs itself, within its budget of 80 runs" in found.warnings
+    chooses = "the experiment chooses itself which of these run, and how often, within its budget of 80 runs"
+    assert chooses in found.warnings
     small = hive.experiments.preview(ExperimentSource(TWO.replace("80 runs", "3 runs")))
     assert any("too small for one look" in refusal for refusal in small.refusals)
 

@@ -79,7 +79,8 @@ class ExperimentService:
         found = preview(context, experiment, usable, standing, progress, nodes)
         if experiment.plan is not None:
             chooses = (
-                f"the experiment chooses among these runs itself, within its budget of {experiment.plan.budget.words}"
+                "the experiment chooses itself which of these run, and how often, within its budget of "
+                f"{experiment.plan.budget.words}"
             )
             found = found.model_copy(update={"warnings": (*found.warnings, chooses)})
             try:
