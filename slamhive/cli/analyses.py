@@ -11,8 +11,7 @@ import click
 from slamhive.analysis.report import PlotBrief, Report, ReportBrief
 from slamhive.base.errors import InvalidInput
 from slamhive.cli import completion
-from slamhive.cli.context import CliContext, json_option, pass_cli
-from slamhive.cli.meanings import id_option
+from slamhive.cli.context import CliContext, id_option, json_option, pass_cli
 from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.cli.sharing import change_of, in_words, sharing_options
 from slamhive.cli.visible import say

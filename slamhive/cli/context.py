@@ -1,4 +1,4 @@
-"""State that all commands share: the installation, opened on first use."""
+"""State and options that commands share: the installation, opened on first use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slamhive.base.errors import NotFound
+from slamhive.base.errors import InvalidInput, NotFound
 
 if TYPE_CHECKING:
     from slamhive.services.hive import Hive
@@ -79,5 +79,27 @@ def run_number(text: str) -> int:
     return number
 
 
+def _read_meanings(_context: click.Context, _parameter: click.Parameter, texts: tuple[str, ...]) -> dict[str, str]:
+    from slamhive.packages.published.knowledge import HERE  # noqa: PLC0415 - few commands have the option
+
+    found: dict[str, str] = {}
+    for text in texts:
+        old, sign, new = (HERE, "=", HERE) if text == HERE else (part.strip() for part in text.partition("="))
+        if not (old and sign and new):
+            raise InvalidInput(f"--id {text!r} is not OLD=NEW", "write for instance --id 3=orb-slam2-mono")
+        if found.setdefault(old, new) != new:
+            raise InvalidInput(f"--id {old} is given as {found[old]} and as {new}", "give it once")
+    return found
+
+
 pass_cli: Callable[..., Any] = click.make_pass_decorator(CliContext)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+id_option: Callable[..., Any] = click.option(
+    "--id",
+    "ids",
+    metavar="OLD=NEW",
+    multiple=True,
+    callback=_read_meanings,
+    help="What a number or a name in a file of the published SLAM Hive means here, for instance 3=orb-slam2-mono; "
+    "'here': its numbers are those of this installation. Can be given several times.",
+)

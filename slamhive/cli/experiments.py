@@ -12,9 +12,8 @@ import click
 from slamhive.base.errors import InvalidInput
 from slamhive.base.files import write_aside
 from slamhive.cli import completion
-from slamhive.cli.context import CliContext, json_option, pass_cli
+from slamhive.cli.context import CliContext, id_option, json_option, pass_cli
 from slamhive.cli.main import LazyGroup
-from slamhive.cli.meanings import id_option
 from slamhive.cli.output import messages, print_json, print_table, progress_bar, tell
 from slamhive.cli.sharing import share_experiment, visibility_option
 from slamhive.cli.visible import confirm, say, write_out

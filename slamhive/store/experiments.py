@@ -214,7 +214,7 @@ class ExperimentRepository(Repository):
         return [_record(row) for row in self._connection.execute(query)]
 
     def durations_s(self, experiment_id: int) -> dict[int, float]:
-        """How long each of its runs that started and ended took: {id: s}."""
+        """{id: s} of each of its runs that started and ended."""
         times = select(_RUNS.c.id, _RUNS.c.started_at, _RUNS.c.ended_at).where(_RUNS.c.experiment_id == experiment_id)
         ended = times.where(_RUNS.c.started_at.is_not(None), _RUNS.c.ended_at.is_not(None))
         return {row.id: (row.ended_at - row.started_at).total_seconds() for row in self._connection.execute(ended)}

@@ -48,7 +48,7 @@ class ObservedRun:
 
 @dataclass(frozen=True, slots=True)
 class SpentTime:
-    """How long runs took: ``ended`` of them ``spent_s`` together, and ``waiting`` have not ended."""
+    """Time that runs took: ``ended`` of them ``spent_s`` together, and ``waiting`` have not ended."""
 
     ended: int = 0
     spent_s: float = 0.0
@@ -56,7 +56,7 @@ class SpentTime:
 
     @property
     def mean_s(self) -> float | None:
-        """How long one takes; None before the first has ended."""
+        """Time that one run takes; None before the first has ended."""
         return max(self.spent_s / self.ended, 1e-3) if self.ended else None
 
 
@@ -154,7 +154,7 @@ class QuestionLook:
         return self.times_clip * self.clips.mean_s
 
     def _left_s(self, time_s: float) -> float:
-        """What is left of a budget of time when the runs that wait have ended."""
+        """The rest of a budget of time when the runs that wait have ended."""
         waiting_s = self.wholes.waiting * (self._whole_s or 0.0) + self.clips.waiting * (self.clips.mean_s or 0.0)
         return time_s - self.wholes.spent_s - self.clips.spent_s - waiting_s
 
