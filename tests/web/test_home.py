@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from slamhive.base.settings import Mode
+from slamhive.domain.protocol import Alignment, Protocol
 from slamhive.domain.verdict import Outcome
 from slamhive.services.executors import Executors
 from slamhive.services.experiments import ExperimentSource
@@ -37,16 +38,24 @@ def _process_executor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Executors, "choose", lambda executors, asked=None: asked or "process")
 
 
-def experiment(web: Web, name: str, errors_m: Sequence[Sequence[float | None]]) -> None:
-    """Start an experiment of two configurations and end their runs with these errors; None fails one."""
+def experiment(
+    web: Web,
+    name: str,
+    errors_m: Sequence[Sequence[float | None]],
+    protocols: Sequence[Protocol] = (world.PROTOCOL, world.PROTOCOL),
+) -> None:
+    """Start an experiment of two configurations and end their runs with these errors; None fails one.
+
+    ``protocols``: under which those of each configuration are evaluated.
+    """
     web.hive.experiments.start(ExperimentSource(PLAN.format(name=name, repeats=len(errors_m[0]))))
-    for cell, errors in zip(web.hive.experiments.cells(name).cells, errors_m, strict=True):
+    for cell, errors, protocol in zip(web.hive.experiments.cells(name).cells, errors_m, protocols, strict=True):
         for run, error_m in zip(cell.runs, errors, strict=True):
             if error_m is None:
                 world.fail_run(web.hive, run.id)
             else:
                 world.finish_run(web.hive, run.id)
-                world.evaluate_run(web.hive, run.id, error_m)
+                world.evaluate_run(web.hive, run.id, error_m, protocol=protocol)
 
 
 def part(text: str, name: str) -> str:
@@ -114,6 +123,14 @@ def test_an_experiment_that_is_not_decided_asks_for_repeats(web: Web) -> None:
     assert more
     assert press(web, f"Add {more} repeat{'s' if more > 1 else ''}").endswith("/experiments/trial")
     assert web.hive.experiments.status("trial").counts[Outcome.QUEUED] == 2 * more
+
+
+def test_an_experiment_under_several_protocols_is_evaluated_under_one_by_one_button(web: Web) -> None:
+    experiment(web, "trial", [(0.10, 0.14), (0.11, 0.15)], (Protocol(Alignment.SIM3), world.PROTOCOL))
+    needs = part(web.client.get("/").text, "needs-title")
+    assert "trial has no answer: 2 runs use SE(3), 2 Sim(3): not comparable<" in needs
+    assert press(web, "Evaluate all under Sim(3)").endswith("/experiments/trial")
+    assert "2 evaluations queued; their errors replace those shown here." in web.client.get("/experiments/trial").text
 
 
 def test_each_experiment_has_a_card_with_its_answer_and_a_dot_for_each_run(web: Web) -> None:

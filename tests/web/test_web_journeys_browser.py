@@ -122,6 +122,8 @@ def test_first_look(journey: Journey, server: str) -> None:
         assert "eyes" in page.locator("#answers").inner_text()
         walk.click(walk.link("eyes"))
         assert heading(page) == "Do two eyes see better than one?"
+        ranking = page.get_by_role("region", name="Table: Ranking on room")
+        assert ranking.evaluate("part => part.scrollWidth - part.clientWidth") == 0, "the ranking scrolls sideways"
         walk.click(page.locator("#ranking tbody tr").first.locator("svg.lane a circle.on-light").last)
         drawn(page, "path")
         assert heading(page).endswith("good")
@@ -163,6 +165,9 @@ def test_why_is_one_worse(journey: Journey, server: str) -> None:
         eventually(lambda: page.locator("[data-figure=error]").get_attribute("data-moment"), "the moment")
         at_s = float(page.locator("[data-figure=error]").get_attribute("data-moment") or 0)
         assert WORST_S[0] <= at_s <= WORST_S[1]
+        values = page.locator("[data-figure=error] .plot-values")
+        eventually(lambda: values.locator(".value").count() == 3, "the errors of all runs")
+        assert values.evaluate("part => part.scrollWidth - part.clientWidth") == 0, "values are cut off"
 
 
 def test_filter_group_save_and_copy_as_LaTeX(journey: Journey, server: str) -> None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from datetime import timedelta
 from pathlib import Path
 
+from flask import url_for as address
+
 from slamhive.base.clock import utc_now
 from slamhive.documents.experiment import Certainty, ExperimentAnswerDocument
 from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocument
@@ -140,6 +142,23 @@ def needs(
             )
         )
     for card in cards:
+        mixed = (
+            services.current_protocols.mixed_in(card.status.name) if card.answer.certainty is Certainty.OPEN else None
+        )
+        if mixed is not None and mixed.common is not None:
+            found.append(
+                Attention(
+                    "trust-limited",
+                    f"{card.status.name} has no answer: {mixed.words.removesuffix('.')}",
+                    f"Evaluate all under {mixed.common_name}",
+                    "selected_runs.evaluate_together",
+                    fields=(
+                        ("where", f"experiment = {card.status.name}"),
+                        ("protocol", mixed.common.fingerprint),
+                        ("back", address("experiments.show", name=card.status.name)),
+                    ),
+                )
+            )
         more = card.answer.more_repeats
         if card.answer.certainty.undecided and more and card.status.state is ConfigurationStanding.FINISHED:
             found.append(
