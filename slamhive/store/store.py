@@ -26,8 +26,8 @@ logger = logging.getLogger(__name__)
 
 FIRST_PAUSE_S = 0.05
 LONGEST_PAUSE_S = 2.0
-LOOK_EVERY_S = 0.05
-"""So often a waiting worker looks at the log of SQLite: one system call, so that a second of looking takes 2 ms."""
+LOOK_EVERY_S = 0.08
+"""So often a waiting worker looks at the log of SQLite: one system call, so that a second of looking takes 1 ms."""
 WRITES_BETWEEN_LOOKS = 500
 """A writer checks after so many transactions whether the tables have grown, see :mod:`slamhive.store.engine`."""
 

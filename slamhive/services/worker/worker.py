@@ -46,7 +46,7 @@ logger = logging.getLogger(__name__)
 
 IDLE_PAUSE_S = 0.25
 """Between two looks for work in a database server."""
-LONGEST_IDLE_PAUSE_S = 3.0
+LONGEST_IDLE_PAUSE_S = 5.0
 """The same in an SQLite file, if nobody writes to it: a look takes 4 ms of CPU time, and a commit ends the pause."""
 TROUBLE_PAUSE_S = 5.0
 CANCEL_CHECK_S = 0.5
@@ -179,7 +179,7 @@ class Worker:
                 skipped = bool(away) and self._store.read(lambda t: t.queue.waits(self._only))
                 if not skipped:
                     return
-            if seen is None:
+            if seen is None or away:  # nobody commits anything when an engine comes back
                 self._stopping.wait(IDLE_PAUSE_S)
             else:
                 self._store.wait_for_commit(seen, self._stopping, LONGEST_IDLE_PAUSE_S)
