@@ -176,7 +176,7 @@ PRESETS.register(
         metrics=("hilti.score", "ate.rmse"),
         differs="Each pose of the ground truth after its first 5 s takes the nearest of the estimate within 0.05 s. "
         "SE(3) over these. A pose scores 100 exp(-0.4605 e) for an error of e metres; the score is the mean, or zero "
-        "below 99 % coverage. `ate.rmse` does not skip the first 5 s. Equal to the script of a participant; the "
+        "below 99 % coverage. The ATE RMSE does not skip the first 5 s. Equal to the script of a participant; the "
         "challenge publishes none, so this is unverified.",
         source="https://hilti-trimble-challenge.com; https://github.com/Hilti-Research/hilti-trimble-slam-challenge-2026",
     ),

@@ -77,6 +77,12 @@ def test_the_parts_of_the_page_are_reached_by_links(shown: Web):
     assert '<section id="output" data-tab data-shown' in failed
 
 
+def test_metrics_come_before_the_choice_of_another_protocol(shown: Web):
+    page = shown.client.get("/runs/1").text
+    part = page[page.index('id="numbers"') : page.index('id="setup"')]
+    assert part.index(">ATE RMSE</th>") < part.index("Measured during the run") < part.index("under another protocol")
+
+
 def test_parameters_that_differ_come_first(shown: Web):
     page = shown.client.get("/runs/1").text
     rows = re.findall(r"<tr( class=\"changed\")?><th[^>]*><code>", page)
