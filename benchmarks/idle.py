@@ -36,7 +36,7 @@ def spent(process: psutil.Process) -> tuple[float, int, int, int, int]:
 
 
 def measure(words: list[str], seconds: float) -> str:
-    """What a command costs while nothing happens."""
+    """Measure the cost of a command while nothing happens, in one line."""
     with tempfile.TemporaryDirectory(prefix="slamhive-idle-") as folder:
         environment = {**os.environ, "SLAMHIVE_DATA": folder, "PYTHONPATH": str(ROOT)}
         command = [sys.executable, "-m", "slamhive", *words]

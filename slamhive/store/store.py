@@ -115,8 +115,8 @@ class Store:
             self.refresh_if_grown()
         return result
 
-    def stamp(self) -> tuple[int, int] | None:
-        """Size and time of what every commit changes; None if the database is a server, which tells nobody."""
+    def mark(self) -> tuple[int, int] | None:
+        """Size and time of the log that every commit changes; None if the database is a server, which has no such file."""
         if self._log is None:
             return None
         try:
@@ -129,12 +129,12 @@ class Store:
         """Wait until somebody commits, ``ended`` is set, or time is up; a commit may rarely go unnoticed.
 
         Args:
-            since: The stamp before the caller looked for the last time, so that nothing in between is missed.
+            since: The mark before the caller looked for the last time, so that nothing in between is missed.
             ended: Ends the waiting.
             longest_s: How long to wait at most.
         """
         until_s = monotonic_s() + longest_s
-        while self.stamp() == since and (left_s := until_s - monotonic_s()) > 0:
+        while self.mark() == since and (left_s := until_s - monotonic_s()) > 0:
             if ended.wait(min(LOOK_EVERY_S, left_s)):
                 return
 

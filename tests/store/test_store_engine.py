@@ -177,13 +177,13 @@ def test_a_commit_ends_the_waiting_and_reading_does_not(sqlite_path: Path) -> No
     ours, other = open_store(f"sqlite:///{sqlite_path}"), open_store(f"sqlite:///{sqlite_path}")
     for store in (ours, other):
         store.read(lambda t: t.searches.total())
-    before, never = ours.stamp(), threading.Event()
+    before, never = ours.mark(), threading.Event()
     assert before is not None
     other.read(lambda t: t.searches.total())
     ours.wait_for_commit(before, never, 0.01)
-    assert ours.stamp() == before
+    assert ours.mark() == before
     Samples(other, NOW).configuration()
-    assert ours.stamp() != before
+    assert ours.mark() != before
     began_s = time.monotonic()
     ours.wait_for_commit(before, never, PATIENCE_S)
     assert time.monotonic() - began_s < PATIENCE_S

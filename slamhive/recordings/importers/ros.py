@@ -249,7 +249,7 @@ _MOST_PARTS = 1000
 _LONGEST_GAP_S = 60.0
 """`rosbag record --split` begins a part within a second; a longer gap makes another recording."""
 _MOST_SHARED = 0.1
-"""Of the shorter part: recorders with several threads write a few messages after they have begun the next part."""
+"""Of the shorter part: recorders with several threads write a few messages after the next part has started."""
 
 
 class Ros1Importer:

@@ -506,7 +506,7 @@ def restore_runs(context: ExperimentContext) -> Iterator[Restored]:
 
 
 def _begins_s(context: ExperimentContext, record: ExperimentRecord, experiment: Experiment) -> dict[str, float]:
-    """When the recordings begin at whose clips first looks were made (s since 1970): {dataset: time}.
+    """{dataset: start, in s since 1970} of the recordings at whose clips first looks were made.
 
     The runs say so, so that an experiment is restored without its recordings.
     """

@@ -160,7 +160,7 @@ class Worker:
             os.sched_setaffinity(0, cores)
         turns = Turns()
         while not self._stopping.is_set():
-            seen = self._store.stamp()
+            seen = self._store.mark()
             try:
                 away = (*self._absent.names(), *self._one_at_a_time.busy())
                 busy = self._work_once(cores, turns, away)
