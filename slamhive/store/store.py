@@ -116,7 +116,7 @@ class Store:
         return result
 
     def mark(self) -> tuple[int, int] | None:
-        """Size and time of the log that every commit changes; None if the database is a server, which has no such file."""
+        """Size and time of the log that every commit changes; None for a database server, which has no such file."""
         if self._log is None:
             return None
         try:
