@@ -1,4 +1,4 @@
-// Copies the table above a group of buttons as CSV, Markdown or LaTeX.
+// Copies the table above a group of buttons as CSV, Markdown or LaTeX, the address of the page, or the text of a button.
 "use strict";
 (() => {
   const SAID_MS = 2000;
@@ -64,11 +64,11 @@
   }
 
   document.addEventListener("click", async (event) => {
-    const link = event.target.closest("[data-copy-link]");
-    if (!link) return;
-    const words = link.textContent;
-    try { await copy(location.href); link.textContent = "Copied"; } catch { link.textContent = "Not copied"; }
-    setTimeout(() => { link.textContent = words; }, SAID_MS);
+    const button = event.target.closest("[data-copy-link], [data-copy-text]");
+    if (!button) return;
+    const words = button.textContent;
+    try { await copy(button.dataset.copyText ?? location.href); button.textContent = "Copied"; } catch { button.textContent = "Not copied"; }
+    setTimeout(() => { button.textContent = words; }, SAID_MS);
   });
 
   document.addEventListener("click", async (event) => {

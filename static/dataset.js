@@ -26,11 +26,26 @@
     timer = setTimeout(load, WAIT_MS);
   }
 
+  /** Says below a strip why its frames are missing; the first reason stands for all. */
+  async function sayWhy(strip, address) {
+    const place = strip?.nextElementSibling;
+    if (!place || place.dataset.asked) return;
+    place.dataset.asked = address;
+    try {
+      const answer = await fetch(address, { headers: { Accept: "application/json" } });
+      if (answer.ok) return;
+      place.textContent = `Frames could not be shown: ${(await answer.json()).error.message}`;
+    } catch (error) {
+      place.textContent = `Frames could not be shown: ${error.message}`;
+    }
+    place.hidden = false;
+  }
+
   /** Loads the pictures of the recording, once. */
   function begin() {
     near.disconnect();
     for (const image of part.querySelectorAll("img[data-src]:not([src])")) {
-      watchImage(image);
+      watchImage(image, (address) => sayWhy(image.closest(".thumbnails"), address));
       image.src = image.dataset.src;
     }
     loadSweeps();

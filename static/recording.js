@@ -122,10 +122,10 @@
     }
   }
 
-  /** A camera may have no frame at a time; its place stays empty. */
-  function watchImage(image) {
+  /** A camera may have no frame at a time; its place stays empty. `whenAbsent` gets the address that gave none. */
+  function watchImage(image, whenAbsent = () => {}) {
     const mark = () => image.classList.toggle("absent", image.complete && image.naturalWidth === 0);
-    image.addEventListener("error", mark);
+    image.addEventListener("error", () => { mark(); whenAbsent(image.src); });
     image.addEventListener("load", mark);
     mark();
   }

@@ -101,7 +101,7 @@ CHALLENGES = Section("challenges.index", "Challenges")
 MACHINES = Section("nodes.index", "Machines", key="m")
 SECTIONS = (
     Section("dashboard.index", "Home", key="h"),
-    Section("experiments.index", "Experiments", key="e", blueprints=("experiment_builder",)),
+    Section("experiments.index", "Experiments", key="e", blueprints=("experiment_builder", "questions")),
     Section(
         "runs.index",
         "Runs",

@@ -103,6 +103,7 @@ def test_wrong_names_and_passwords_get_the_same_answer(site: AccountWeb, name: s
     client, answer = site.sign_in(name, password)
     assert answer.status_code == 401
     assert "Name or password is wrong." in answer.text
+    assert f'required value="{name}"' in answer.text
     assert client.get("/runs").status_code == 302
 
 

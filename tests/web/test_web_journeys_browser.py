@@ -267,7 +267,10 @@ def test_accounts(journey: Journey, accounts: str) -> None:
         walk.click(page.locator("summary", has_text=name))
         walk.click(walk.link("Your account password, tokens"))
         walk.enter(page.get_by_label("Name of the new token"), "laptop")
-        assert "Copy it now" in page.get_by_role("status", name="New API token").inner_text()
+        made = page.get_by_role("status", name="New API token")
+        walk.click(made.get_by_role("button", name="Copy"))
+        token = made.locator("code").inner_text()
+        eventually(lambda: page.evaluate("navigator.clipboard.readText()") == token, "the copy")
 
 
 def sign_in(walk: Walk, name: str, password: str) -> None:

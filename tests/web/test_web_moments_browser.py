@@ -105,6 +105,8 @@ def test_pictures_of_a_recording_come_on_sight(chromium: Browser, server: str) -
         assert [url for url in asked if "/frames/" in url] == []
         page.locator("#recording").scroll_into_view_if_needed()
         page.locator("[data-recording] img[src*='overview=11']").first.wait_for(state="attached")
+        reason = page.locator("[data-recording] [data-why]").first
+        reason.filter(has_text="Frames could not be shown: ").wait_for()
 
 
 @pytest.mark.parametrize("address", ["/runs/1", "/compare?runs=1,6", "/datasets/room"])

@@ -41,6 +41,9 @@ def test_the_page_and_the_api_give_the_same_answer(web: Web):
     assert found.words in web.client.get("/experiments/two").text
     assert (web.client.get("/api/v1/experiments/two").json or {})["conclusion"] == found.words
     assert web.hive.questions.decision("two") == found
+    assert found.words in web.client.get("/").text
+    answer = web.hive.experiments.answer("two")
+    assert (answer.sentence, answer.more_repeats) == (found.words, None)
 
 
 def test_an_experiment_without_a_question_has_no_such_page(web: Web):
@@ -71,6 +74,8 @@ def test_the_page_of_a_search_shows_the_trade_offs_as_they_grew(web: Web):
     assert page.count('<svg class="front"') == 2
     assert page.count("<circle") == 2 * sum(len(step.front) for step in found.growth)
     assert "What matters for CPU mean" in page
+    assert ">1.194</text>" in page
+    assert "many is not decided" not in web.client.get("/").text
     assert [step.runs for step in found.growth] == [24, 28]
 
 

@@ -28,7 +28,10 @@ REPEATS_WANTED = 3
 
 
 def answer(record: ExperimentRecord, table: AxisTable, entries: Mapping[str, RankEntries]) -> ExperimentAnswerDocument:
-    """The answer of an experiment; ``entries`` are those of :func:`~ranking.entries_by_dataset`."""
+    """The answer of an experiment; ``entries`` are those of :func:`~ranking.entries_by_dataset`.
+
+    One that chooses its runs gives its own conclusion as soon as it has one.
+    """
     axes = table.axes
     by = "algorithm" if len(axes.get("algorithm", ())) > 1 else "configuration"
     names = _names(table, by)
@@ -38,9 +41,9 @@ def answer(record: ExperimentRecord, table: AxisTable, entries: Mapping[str, Ran
     order = (Certainty.TOO_FEW, Certainty.NOT_SEPARATED, Certainty.OPEN, Certainty.SEPARATED, Certainty.ALONE)
     return ExperimentAnswerDocument(
         question=question(record.description, axes),
-        sentence=_over_all(found),
+        sentence=record.conclusion or _over_all(found),
         certainty=next((certainty for certainty in order if certainty in known), Certainty.OPEN),
-        more_repeats=_suggested(found),
+        more_repeats=None if record.question is not None else _suggested(found),
         by=by,
         datasets=found,
         notes=tuple(_notes(entries, names)),

@@ -79,7 +79,7 @@ def facts(found: Decision | SearchStanding) -> list[tuple[str, str]]:
     told = [
         ("To be best", f"{named} on {', '.join(found.datasets)}"),
         ("A run must keep", ", ".join(found.limits)),
-        ("Near enough", f"{found.within:.3g} of the best, at {found.confidence:.1%} confidence"),
+        ("Near enough", f"within {100 * found.within:.3g} % of the best, at {100 * found.confidence:.3g} % confidence"),
         ("Runs", f"{thousands(found.runs)} of {thousands(found.combinations)}; budget {found.budget}"),
         *([("First looks at a clip", thousands(found.first_looks))] if found.first_looks else []),
         ("Going on may gain", "" if found.expected_gain is None else f"{found.expected_gain:.1%} on average"),
@@ -188,8 +188,8 @@ def front_plots(found: SearchStanding) -> list[FrontPlot]:
             FrontPlot(
                 f"{found.label} [{units[0]}]",
                 f"{other.label} [{units[1]}]",
-                tuple((place, significant(value)) for place, value in across.ticks),
-                tuple((100 - place, significant(value)) for place, value in up.ticks),
+                tuple((place, f"{value:.6g}") for place, value in across.ticks),
+                tuple((100 - place, f"{value:.6g}") for place, value in up.ticks),
                 tuple(fronts),
             )
         )

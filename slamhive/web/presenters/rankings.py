@@ -138,7 +138,7 @@ def _view(ranking: Ranking, axes: Sequence[str], colours: Mapping[str, str]) -> 
         dataset=ranking.dataset,
         protocol="" if ranking.protocol is None else ranking.protocol.label,
         axis=axis,
-        ticks=() if axis is None else tuple((place, f"{value:.3g}") for place, value in axis.ticks),
+        ticks=() if axis is None else tuple((place, f"{value:.6g}") for place, value in axis.ticks),
         has_failures=failures,
         rows=(*best, *([None] if ranking.between else []), *worst),
         notes=tuple(_notes(ranking)),

@@ -145,6 +145,7 @@ def _login(following: str, error: SlamHiveError | None = None) -> Response:
             "accounts/login.html",
             following=following,
             error=error,
+            name=request.form.get("name", "")[:64],
             nobody=not hive().accounts.exist(),
             provider=hive().settings.oidc_title if provider() is not None else "",
         )

@@ -121,7 +121,7 @@ def _rendered(path: Path, _modified_ns: int) -> tuple[str, str]:
     except OSError as error:
         raise Unavailable(f"{path.name} cannot be read: {error.strerror}") from None
     heading = next((line for line in text.splitlines() if line.startswith("# ")), f"# {path.stem}")
-    return heading[2:].strip().strip("`"), markdown_html(text, _link)
+    return heading[2:].strip().replace("`", ""), markdown_html(text, _link)
 
 
 def _link(target: str) -> str:
