@@ -50,7 +50,7 @@ def test_the_trash_lists_restores_and_is_emptied(web: Web, run_id: int) -> None:
     assert "The trash is empty." in web.client.get("/trash").text
     send(web, "/runs/delete", run=str(run_id))
     text = web.client.get("/trash").text
-    assert f'<td class="number">{run_id}</td><td>eye-slam-stereo</td><td>room</td>' in text
+    assert f'data-label="Run">{run_id}</td><td data-label="Algorithm">eye-slam-stereo</td>' in text
     assert send(web, "/trash/empty").status_code == 303
     assert "The trash is empty." in web.client.get("/trash").text
     assert send(web, "/trash/restore", run=str(run_id)).status_code == 404
