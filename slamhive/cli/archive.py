@@ -15,6 +15,7 @@ from slamhive.cli.output import print_json, print_table, progress_bar, tell
 from slamhive.cli.visible import Answering, say
 from slamhive.domain.gate import REPLAY_MARGINS, Agreement
 from slamhive.domain.names import plural
+from slamhive.filters.syntax import experiment_filter
 from slamhive.services.archive import (
     ArchiveImport,
     ArchivePart,
@@ -153,7 +154,7 @@ def site(cli: CliContext, folder: Path, title: str, unpublished: bool, afresh: b
     hive = cli.hive()
     where, experiment = chosen["where"], chosen["experiment"]
     run_ids = _chosen(hive, where is None and experiment is None, where, experiment)
-    query = where or (f"experiment = {experiment}" if experiment else "")
+    query = where or (experiment_filter(experiment) if experiment else "")
     with progress_bar("writing") as show:
         site = StaticSite(hive, SiteRequest(folder, run_ids, title, query, unpublished, afresh))
         written = site.write(lambda done, total: show(done / total, f"{done}/{total} runs"))

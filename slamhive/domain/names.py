@@ -57,8 +57,14 @@ def mean_and_std(mean: float, std: float | None) -> str:
 
 
 def value_within(value: float, half_width: float) -> str:
-    """``0.0312 ± 0.0008``: a value with half of its interval, in the digits of :func:`mean_and_std`."""
-    return mean_and_std(value, half_width)
+    """``0.0312 ± 0.0008``: a value with half of its interval, in the digits of :func:`mean_and_std`.
+
+    A value below its half width has no digits beyond the first two of that: ``0.000 ± 0.012``.
+    """
+    if abs(value) >= half_width or not half_width:
+        return mean_and_std(value, half_width)
+    digits = max(0, 1 - _exponent(half_width))
+    return f"{round(value, digits) + 0.0:.{digits}f} ± {half_width:.{digits}f}"
 
 
 def _exponent(value: float) -> int:

@@ -436,12 +436,15 @@ def check_candidates(
     clipped = any(step.kind == CLIP for step in experiment.steps)
     if plan.budget.time_s is None or clipped or not played:
         return
-    of_one_s = [recordings_s[dataset] / max(experiment.playback.rates) for dataset in datasets]
+    fastest = max(experiment.playback.rates)
+    of_one_s = [recordings_s[dataset] / fastest for dataset in datasets]
     least_s = 2 * len(found) * sum(of_one_s)
     if experiment.optimise is not None:
         first_look = experiment.optimise.first_look
-        # At least two of the first looks are followed by runs on the whole.
-        least_s = least * min(of_one_s) if first_look is None else min(least, 2 / first_look.keep) * first_look.seconds
+        if first_look is None:
+            least_s = least * min(of_one_s)
+        else:  # at least two of the first looks are followed by runs on the whole
+            least_s = min(least, 2 / first_look.keep) * min(first_look.seconds / fastest, *of_one_s)
     if plan.budget.time_s < least_s:
         raise InvalidInput(f"{too_small} take {time_words(least_s)} or more", remedy)
 

@@ -226,6 +226,11 @@ def reversed_range(leaf: FilterComparison, source: str) -> FilterError:
     return FilterError(f"nothing lies between {low} and {high}", remedy, source, leaf.place)
 
 
+def experiment_filter(name: str) -> str:
+    """The filter of the runs of an experiment, whose name may be a word of the language, such as ``not``."""
+    return filter_text(FilterComparison(Word("experiment"), Sign.EQUAL, (Word(name),)))
+
+
 def filter_text(tree: Filter | None) -> str:
     """The filter in its canonical spelling; parsing it gives ``tree`` again."""
     return "" if tree is None else written(tree, _comparison_text)

@@ -198,6 +198,8 @@ class KeptPages:
             headers: list[tuple[str, str]] = []
 
             def begin(status: str, found: list[tuple[str, str]], exc_info: Any = None) -> Callable[[bytes], object]:
+                if not status.startswith("200"):  # what failed after the page was made
+                    environ.pop(_KEEP, None)
                 if _KEEP not in environ:
                     return start(status, found, exc_info)
                 headers.extend(found)

@@ -14,7 +14,7 @@ from slamhive.analysis.statistics import summarise
 from slamhive.analysis.table import RunTable
 from slamhive.base.errors import InvalidInput
 from slamhive.domain.metrics import Direction
-from slamhive.domain.names import mean_and_std
+from slamhive.domain.names import mean_and_std, value_within
 from slamhive.services.analysis.bundle import table_latex
 from slamhive.services.markdown import table_markdown
 from tests.analysis.analysis_world import ALGORITHMS, DATASETS, RATES, data_of, sweep_table
@@ -102,6 +102,21 @@ def test_digits_fit_the_spread(values: list[float], text: str) -> None:
     summary = summarise(np.array(values))
     assert summary is not None
     assert mean_and_std(summary.mean, summary.std) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "half_width", "text"),
+    [
+        (0.0312, 0.0008, "0.0312 ± 0.0008"),
+        (4.31e-5, 0.0123, "0.000 ± 0.012"),
+        (-1.2e-9, 0.01, "0.000 ± 0.010"),
+        (-0.004, 0.0123, "-0.004 ± 0.012"),
+        (3.0, 250.0, "3 ± 250"),
+        (0.0, 0.0, "0 ± 0"),
+    ],
+)
+def test_a_value_has_no_digits_beyond_those_of_its_interval(value: float, half_width: float, text: str) -> None:
+    assert value_within(value, half_width) == text
 
 
 def test_a_paper_has_sequences_by_algorithms_with_the_best_marked() -> None:

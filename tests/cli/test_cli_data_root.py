@@ -189,9 +189,10 @@ def test_a_command_leaves_as_it_was_what_is_logged(project: Path, monkeypatch: p
     monkeypatch.setenv("SLAMHIVE_MODE", "view-only")
     monkeypatch.setenv("SLAMHIVE_DATA", str(project / "wrong"))
     loggers = [logging.getLogger(name) for name in ("slamhive", REGISTRY)]
-    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        monkeypatch.setattr(logger, "level", logging.DEBUG)
     assert "does not exist" in call("serve", "--port", "0").stderr
-    assert [logger.level for logger in loggers] == before == [logging.NOTSET, logging.NOTSET]
+    assert [logger.level for logger in loggers] == [logging.DEBUG, logging.DEBUG]
 
 
 def test_a_server_that_only_shows_makes_no_folder_that_is_missing(project: Path, monkeypatch: pytest.MonkeyPatch):

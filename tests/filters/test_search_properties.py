@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 
 from slamhive.base.errors import InvalidInput
 from slamhive.filters.parser import parse_filter
-from slamhive.filters.syntax import FilterComparison, Junction, Sign, Word, filter_text, join, leaves
+from slamhive.filters.syntax import (
+    FilterComparison,
+    Junction,
+    Sign,
+    Word,
+    experiment_filter,
+    filter_text,
+    join,
+    leaves,
+)
 
 pytestmark = pytest.mark.integration  # hypothesis takes long to load
 
@@ -46,3 +55,8 @@ def test_any_text_is_a_filter_or_refused(text):
         tree = parse_filter(text)
         assert tree is None or list(leaves(tree))
         assert parse_filter(filter_text(tree)) == tree
+
+
+@pytest.mark.parametrize("name", ["room", "not", "and", "1e5"])
+def test_an_experiment_may_be_called_like_a_word_of_the_language(name: str):
+    assert parse_filter(experiment_filter(name)) == comparison("experiment", Sign.EQUAL, [name])

@@ -371,6 +371,10 @@ def test_a_metric_where_more_is_better_is_searched_upwards(hive: Hive):
             MANY.replace("90 runs", "30 s, first_look: 10 s"),
             "budget of 30 s is too small for one look: the first runs of 72 .* take 60.6 s or more",
         ),
+        (
+            MANY.replace("90 runs", "30 s, first_look: 10 s") + "playback: {rate: 2}\n",
+            "the first runs of 72 .* take 30.3 s or more",
+        ),
         (MANY.replace("10%", "10 m"), "many.yaml line 5: '10 m' is no share; write 5%, or 0.05"),
         (MANY.replace("within: 10%", "limits: [cpu.mean = 2]"), "'cpu.mean = 2' is no limit"),
         (MANY.replace("within: 10%", "limits: [cpu.mena <= 2]"), "unknown metric 'cpu.mena'; did you mean"),

@@ -39,7 +39,9 @@ def shown(looked_at: Web) -> Iterator[Web]:
     """An installation to look at; a test that changes it fails, because later tests would fail in its place."""
     before = world.content(looked_at.hive)
     yield looked_at
-    assert world.content(looked_at.hive) == before, "the test has changed what all tests look at: let it use 'web'"
+    after = world.content(looked_at.hive)
+    changed = [name for name in before.keys() | after.keys() if before.get(name) != after.get(name)]
+    assert not changed, f"{', '.join(changed)} changed, and all tests look at it: let a test that changes it use 'web'"
 
 
 @pytest.fixture

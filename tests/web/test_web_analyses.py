@@ -274,7 +274,8 @@ def test_pages_and_assets_are_kept(shown: Web, web: Web, tmp_path: Path):
 
 
 @pytest.mark.integration
-def test_a_server_that_only_shows_keeps_pages_for_seconds(web: Web, tmp_path: Path):
+def test_a_server_that_only_shows_keeps_pages_for_seconds(web: Web, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("slamhive.web.app.PageCache", lambda: PageCache(clock=lambda: 0.0))
     viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     before = viewing.client.get("/runs")
     world.add_runs(web.hive, 3)
@@ -294,6 +295,7 @@ def test_a_server_that_only_shows_keeps_pages_for_seconds(web: Web, tmp_path: Pa
 def test_a_page_that_is_kept_costs_neither_a_query_nor_its_compression(
     web: Web, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
+    monkeypatch.setattr("slamhive.web.app.PageCache", lambda: PageCache(clock=lambda: 0.0))
     viewing = make_web(world.make_hive(tmp_path, Mode.VIEW_ONLY))
     accepting = {"Accept-Encoding": "gzip"}
     first, second = (viewing.client.get("/runs", headers=accepting) for _ in range(2))

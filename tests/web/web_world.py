@@ -257,14 +257,14 @@ def fill(hive: Hive) -> None:
     assert [done, bare, failed, running, queued] == list(RUNS.values())
 
 
-def content(hive: Hive) -> tuple[dict[str, list[Any]], dict[str, tuple[int, int]]]:
-    """The rows of each table, and size and time of each file below ``runs``."""
+def content(hive: Hive) -> dict[str, Any]:
+    """The rows of each table, and size and time of each file below ``runs``, by name."""
     with closing(sqlite3.connect(hive.settings.data / "slamhive.db")) as database:
         names = [name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
         tables = {name: database.execute(f'SELECT * FROM "{name}"').fetchall() for name in names}
     runs = hive.settings.runs_folder
     stats = {str(path.relative_to(runs)): path.stat() for path in sorted(runs.rglob("*")) if path.is_file()}
-    return tables, {name: (stat.st_size, stat.st_mtime_ns) for name, stat in stats.items()}
+    return tables | {name: (stat.st_size, stat.st_mtime_ns) for name, stat in stats.items()}
 
 
 @dataclass

@@ -191,6 +191,7 @@ class Environments:
                 with temporary_folder(_STAGED, self._root) as staged:
                     install = [*_pip(), "--target", str(staged / "packages"), *_requirements(wanted)]
                     _run_step(f"{package.name}: pip install for all environments", install, {}, progress)
+                    os.sync()  # all later environments are copies: none may begin with files that a power cut emptied
                     (staged / "packages").rename(folder)
                 for other in set(self._root.glob(f"{_COMMON}*")) - {folder}:  # of another Python or an older runtime
                     with contextlib.suppress(BlockingIOError), self._locked(other.name, wait=False):

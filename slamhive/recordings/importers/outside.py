@@ -39,7 +39,7 @@ _MOST_NS = 2**31 * NS_PER_S
 _SHOWN = 300
 _MOST_WORDS_BYTES = 64_000
 _MOST_SILENCE_S = 600.0
-"""A reader that writes nothing for so long hangs: while it works, it writes a sign of life at least."""
+"""A reader that writes nothing for so long hangs. It writes signs of life while it reads; opening is silent."""
 _COLOURS = re.compile(r"\x1b\[[0-9;]*m")
 
 

@@ -179,7 +179,8 @@ class Worker:
                 skipped = bool(away) and self._store.read(lambda t: t.queue.waits(self._only))
                 if not skipped:
                     return
-            if seen is None or away:  # nobody commits anything when an engine comes back
+            # Nobody commits anything when an engine comes back, or when another slot lets go of a run that has ended.
+            if seen is None or away or until_idle:
                 self._stopping.wait(IDLE_PAUSE_S)
             else:
                 self._store.wait_for_commit(seen, self._stopping, LONGEST_IDLE_PAUSE_S)

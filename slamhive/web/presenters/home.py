@@ -15,6 +15,7 @@ from slamhive.documents.plain import ConfigurationStanding, ExperimentStatusDocu
 from slamhive.domain.bibliography import Reference
 from slamhive.domain.run import FailureReason
 from slamhive.domain.verdict import Outcome
+from slamhive.filters.syntax import experiment_filter
 from slamhive.services.hive import Hive
 from slamhive.web.formatting import plural, thousands
 from slamhive.web.presenters import rankings
@@ -153,7 +154,7 @@ def needs(
                     f"Evaluate all under {mixed.common_name}",
                     "selected_runs.evaluate_together",
                     fields=(
-                        ("where", f"experiment = {card.status.name}"),
+                        ("where", experiment_filter(card.status.name)),
                         ("protocol", mixed.common.fingerprint),
                         ("back", address("experiments.show", name=card.status.name)),
                     ),
@@ -193,13 +194,13 @@ def _failed(status: ExperimentStatusDocument) -> Iterator[Attention]:
             f"{plural(failed, 'run')} of {status.name} failed: {why}",
             "See why",
             "runs.index",
-            {"where": f"experiment = {status.name} and not verdict = good"},
+            {"where": f"{experiment_filter(status.name)} and not verdict = good"},
             posts=False,
         )
 
 
 def _disturbed(services: Hive, status: ExperimentStatusDocument) -> Iterator[Attention]:
-    found = services.searches.find(f"experiment = {status.name} and disturbed = true and state = succeeded")
+    found = services.searches.find(f"{experiment_filter(status.name)} and disturbed = true and state = succeeded")
     repeated = services.runs.repeated(found)
     wanted = [number for number in found if number not in repeated][-_MOST_DISTURBED:]
     if wanted:

@@ -18,7 +18,7 @@ from slamhive.domain.protocol import ALIGNMENT_LABELS, TrajectoryKind
 from slamhive.domain.verdict import DEFAULT_RULE, Outcome
 from slamhive.executors.registry import EXECUTORS
 from slamhive.experiments.file import parse_experiment
-from slamhive.filters.syntax import FilterComparison, Sign, Word, filter_text
+from slamhive.filters.syntax import experiment_filter
 from slamhive.services.experiments import (
     METRICS,
     ExperimentSource,
@@ -109,7 +109,7 @@ def show(name: str) -> str:
         answer=experiments.answer(name) if small else None,
         question=question(status.description, stated_values(parse_experiment(experiments.source(name).text))),
         mixed=hive().current_protocols.mixed_in(name),
-        where=_where(name),
+        where=experiment_filter(name),
         tab=tab,
         tabs=TABS,
         **_TAB_WORDS[tab](status),
@@ -117,11 +117,6 @@ def show(name: str) -> str:
 
 
 TABS = {"ranking": "Ranking", "grid": "Grid", "runs": "Runs", "report": "Report", "setup": "Setup"}
-
-
-def _where(name: str) -> str:
-    """The filter of the runs of an experiment."""
-    return filter_text(FilterComparison(Word("experiment"), Sign.EQUAL, (Word(name),)))
 
 
 def _ranking_words(status: ExperimentStatusDocument) -> dict[str, Any]:
