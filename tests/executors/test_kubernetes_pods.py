@@ -21,7 +21,7 @@ pytestmark = [
 
 def test_a_pod_that_is_deleted_politely_records_that_and_brings_what_was_saved(bench, docker_nodes):
     """An algorithm that saves its map and ends with 0 has not succeeded: it saw a part of the recording."""
-    spec, handle = bench.start(SAVES_ITS_MAP)
+    spec, handle = bench.start(SAVES_ITS_MAP.replace("(result / 'map')", "time.sleep(1)\n    (result / 'map')"))
     bench.wait_for(spec, handle)
     docker_nodes.server.remove_with_owner("pods", docker_nodes.server.one("pods")["metadata"]["name"])
     eventually(lambda: not isinstance(bench.executor.poll(handle), Running), "the loss")

@@ -510,7 +510,7 @@ def test_tables_are_copied_as_csv_markdown_and_latex(browsing: Page) -> None:
     assert head.count("|") == 5
     browsing.goto("/runs?group=configuration&where=id = 1&columns=id,algorithm,ate.rmse")
     (row,) = (line for line in copied(browsing, "LaTeX") if "eye-slam-stereo" in line)
-    assert " & 1 of 5 & " in row, "a part of a group says so in a paper too"
+    assert re.search(r" & 1 of [2-9] & ", row), "a part of a group says so in a paper too"
 
 
 def test_the_keys_lead_everywhere(browsing: Page) -> None:

@@ -200,7 +200,10 @@ class CourierReport:
         ended = (self._folders.pod / EXIT_FILE).exists()
         if reporter.refused is not None and not ended:
             self._stop(0.0)
-        return not ended and self._end_at_s is None
+        if self._end_at_s is None or ended:
+            return not ended
+        # Pod and algorithm are asked to end at the same moment. What it saves then belongs to its results.
+        return (self._folders.pod / STARTED_FILE).exists() and not self._given_up()
 
     def _pass_on(self, reporter: Reporter) -> None:
         """Tell the supervisor what the controller wants."""
