@@ -39,14 +39,20 @@ def test_a_worker_takes_an_experiment_to_its_answer(hive: Hive):
     assert hive.experiments.status("behaviours").conclusion == found.words
 
 
-def test_a_killed_command_goes_on_where_it_was(hive: Hive, tmp_path: Path):
-    file = tmp_path / "behaviours.yaml"
-    file.write_text(BEHAVIOURS)
-    command = [sys.executable, "-m", "slamhive", "experiment", "decide", str(file)]
+def killed_at_the_end_of_a_run(hive: Hive, folder: Path, verb: str, text: str) -> list[str]:
+    """The command that was killed, with everything it had started, when its first run had ended."""
+    file = folder / "behaviours.yaml"
+    file.write_text(text)
+    command = [sys.executable, "-m", "slamhive", "experiment", verb, str(file)]
     first = subprocess.Popen(command, cwd=CHECKOUT, start_new_session=True)
     eventually(lambda: _ended(hive) > 0, "the end of a run")
     os.killpg(first.pid, signal.SIGKILL)
     first.wait()
+    return command
+
+
+def test_a_killed_command_goes_on_where_it_was(hive: Hive, tmp_path: Path):
+    command = killed_at_the_end_of_a_run(hive, tmp_path, "decide", BEHAVIOURS)
     before = hive.experiments.run_ids("behaviours")
     second = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)
     assert second.returncode == 0, second.stderr
@@ -69,13 +75,7 @@ executor: process
 
 @pytest.mark.timeout(600)
 def test_first_looks_survive_kills_and_a_lost_database_without_their_recording(hive: Hive, tmp_path: Path):
-    file = tmp_path / "behaviours.yaml"
-    file.write_text(LOOKS)
-    command = [sys.executable, "-m", "slamhive", "experiment", "optimise", str(file)]
-    first = subprocess.Popen(command, cwd=CHECKOUT, start_new_session=True)
-    eventually(lambda: _ended(hive) > 0, "the end of a first look")
-    os.killpg(first.pid, signal.SIGKILL)
-    first.wait()
+    command = killed_at_the_end_of_a_run(hive, tmp_path, "optimise", LOOKS)
     before = [run_id for run_id in hive.experiments.run_ids("behaviours") if hive.runs.get(run_id).variant]
     assert len(before) == 4, "one first look at each combination"
     second = subprocess.run(command, cwd=CHECKOUT, capture_output=True, text=True, check=False)

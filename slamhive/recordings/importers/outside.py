@@ -27,6 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt
 
 from slamhive.base.errors import InvalidInput, Unavailable
 from slamhive.domain.names import printable
+from slamhive.domain.question import time_words
 from slamhive.recordings.geometry import Array
 from slamhive.recordings.importers.outside_reader import ALIVE, RECORD_HEADER
 from slamhive.recordings.writers import NS_PER_S
@@ -174,9 +175,9 @@ class OutsideRecording:
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=words, bufsize=0
             )
             assert process.stdout is not None
-            waited = f"{_MOST_SILENCE_S:g} s" if _MOST_SILENCE_S < 120 else f"{_MOST_SILENCE_S / 60:g} minutes"
             silence = InvalidInput(
-                f"{self.library.name} hangs while it reads {self.name}: it gave nothing for {waited}, and was ended",
+                f"{self.library.name} hangs while it reads {self.name}: it gave nothing for "
+                f"{time_words(_MOST_SILENCE_S)}, and was ended",
                 self._remedy,
             )
             stream = io.BufferedReader(_WatchedPipe(process.stdout, silence))

@@ -479,14 +479,15 @@ def _add(
         configuration.playback.mode,
         configuration.playback.rate,
     )
-    # Runs on whole recordings do not tell how long one on a clip takes.
-    is_clip = clip_s is not None and FIRST_LOOK in first.values
-    own = known is not None and known.measured_runs
-    measured_s = known.duration_s if known is not None and own else None if is_clip else means_s.get(pairing)
+    is_clip = FIRST_LOOK in first.values
+    if known is not None and known.measured_runs:
+        measured_s = known.duration_s
+    else:  # runs on whole recordings do not tell how long one on a clip takes
+        measured_s = None if is_clip else means_s.get(pairing)
     if measured_s is not None:
         sums.measured_runs += len(cell)
     else:
-        seen_s = clip_s if is_clip and clip_s is not None else recordings_s[configuration.dataset]
+        seen_s = recordings_s[configuration.dataset] if clip_s is None or not is_clip else clip_s
         measured_s = guessed_duration_s(pairing, seen_s)
     sums.first_looks += is_clip
     sums.first.setdefault((configuration.algorithm, configuration.dataset), configuration)

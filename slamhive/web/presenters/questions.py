@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from slamhive.documents.experiment import Decision, DecisionCandidate, SearchedCandidate, SearchStanding, all_failed
 from slamhive.domain.metrics import Metric, described
 from slamhive.domain.names import value_within
+from slamhive.domain.question import CandidateStanding
 from slamhive.experiments.experiment import FAILED
 from slamhive.web.formatting import DASH, TableCell, display_unit, metric_cell, plural, significant, thousands
 from slamhive.web.small_plots import axis_of
@@ -100,7 +101,7 @@ def rows(found: Decision | SearchStanding, metric: Metric) -> list[CandidateRow]
         return [
             CandidateRow(
                 entry.label,
-                entry.standing.value,
+                "may be best" if entry.standing is CandidateStanding.LEFT else entry.standing.value,
                 entry.rounds,
                 thousands(entry.runs),
                 entry.failed,
